@@ -1,0 +1,688 @@
+//! The agent's core: one robot's estimator, controllers, plans and modes, driven by bytes and time.
+//!
+//! A state machine without clock, sockets or threads: feed [`Agent::handle_input`], drain [`Agent::poll_output`], call again at
+//! [`Agent::poll_timeout`]. The simulator and the deployed program drive this same code with the same bytes.
+
+use std::collections::VecDeque;
+use std::fmt::Write as _;
+
+use arrayvec::{ArrayString, ArrayVec};
+use sphere_protocol::key::{self, Key};
+use sphere_protocol::mavlink::{self, BoardEvent, Frame, FrameReader};
+use sphere_protocol::message::{
+    Beacon, Command, CommandOrder, Direction, DropReason, Message, Mode, PlanId, Qos, SetpointPlan, Status, Telemetry,
+};
+use sphere_protocol::state::{BoardStatus, RobotState, Setpoint, Torque};
+use sphere_protocol::time::{AgentClock, BoardClock, Instant, Span};
+use sphere_protocol::wire::{self, Payload};
+
+use crate::board_clock::BoardClockMap;
+use crate::config::AgentConfig;
+use crate::control::{DirectionController, Hsmc};
+use crate::estimator::{Estimator, EstimatorConfig};
+use crate::gains::GainError;
+use crate::mode::{Check, ModeMachine, Reason, Transition};
+use crate::plan::{NoPlan, Playback, reference_state};
+use crate::reference::{Reference, roll_bound};
+
+/// What reaches an agent.
+#[derive(Clone, Copy, Debug)]
+pub enum Input<'a> {
+    /// Bytes from the motor board: any number of MAVLink frames, or parts of them.
+    Motor(&'a [u8]),
+    /// A message of the fleet with its key.
+    Message {
+        /// The full key expression it was published on.
+        key: &'a str,
+        /// Its bytes.
+        bytes: &'a [u8],
+    },
+    /// The time that [`Agent::poll_timeout`] named has come.
+    Timeout,
+    /// The program is to end: brake, rest, then zero torque and [`Event::Ended`].
+    Shutdown,
+}
+
+/// What an agent wants done.
+#[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "drained at once; a box would allocate in the control step")]
+pub enum Output {
+    /// Write these bytes to the motor board.
+    Motor(Frame),
+    /// Publish a message.
+    Publish {
+        /// Which way it travels.
+        direction: Direction,
+        /// Its topic.
+        topic: &'static str,
+        /// How.
+        qos: Qos,
+        /// Its bytes.
+        bytes: Payload,
+    },
+    /// Something to report.
+    Event(Event),
+}
+
+/// Something worth reporting.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Event {
+    /// The mode has changed.
+    Mode(Transition),
+    /// An order was refused in this mode.
+    Refused {
+        /// The order.
+        order: CommandOrder,
+        /// The mode that refused it.
+        mode: Mode,
+    },
+    /// A station has the lease.
+    Leased {
+        /// Its identity.
+        station: u64,
+        /// The lease's epoch.
+        epoch: u32,
+    },
+    /// Another station asked for a lease that is held.
+    LeaseRefused {
+        /// Who asked.
+        station: u64,
+        /// Who holds it.
+        holder: u64,
+    },
+    /// An incoming message was dropped.
+    Dropped(DropReason),
+    /// Shut down: at rest, torque zero.
+    Ended,
+}
+
+/// Signals of the last control step, for logs and traces.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Signals {
+    /// The state that the controllers used.
+    pub state: RobotState,
+    /// The setpoint that they followed.
+    pub setpoint: Setpoint,
+    /// The plan's command (v_c, q_c), if one was in force.
+    pub command: Option<[f64; 2]>,
+    /// The torque that was sent.
+    pub torque: Torque,
+    /// The plan in force.
+    pub playing: Option<PlanId>,
+    /// Age of the plan in force: now − `based_on`.
+    pub plan_age: Option<Span>,
+}
+
+/// One robot's agent.
+#[derive(Debug)]
+pub struct Agent {
+    config: AgentConfig,
+    estimator: Estimator,
+    velocity: Hsmc,
+    direction: DirectionController,
+    mode: ModeMachine,
+    playback: Playback,
+    reference: Reference,
+    reader: FrameReader,
+    board: Board,
+    lease: Lease,
+    dropped: [u32; DropReason::COUNT],
+    signals: Signals,
+    still_since: Option<Instant<AgentClock>>,
+    shutdown: Option<Instant<AgentClock>>,
+    torque_sequence: u32,
+    due: Deadlines,
+    outputs: VecDeque<Output>,
+}
+
+/// What is known of the motor board.
+#[derive(Debug, Default)]
+struct Board {
+    clock: BoardClockMap,
+    last_frame: Option<Instant<AgentClock>>,
+    last_stamp: Option<Instant<BoardClock>>,
+    status: BoardStatus,
+}
+
+/// Who may send plans.
+#[derive(Debug, Default)]
+struct Lease {
+    epoch: u32,
+    station: u64,
+    heard: Option<Instant<AgentClock>>,
+    /// Newest command number of each station heard, so that a repeated order is carried out once.
+    commands: ArrayVec<(u64, u32), 8>,
+    newest_command: u32,
+}
+
+#[derive(Debug)]
+struct Deadlines {
+    control: Instant<AgentClock>,
+    telemetry: Instant<AgentClock>,
+    status: Instant<AgentClock>,
+    beacon: Instant<AgentClock>,
+    heartbeat: Instant<AgentClock>,
+}
+
+const OUTPUTS_MAX: usize = 64;
+const HEARTBEAT_PERIOD: Span = Span::from_millis(1000);
+/// At rest: |v| below this [m/s] for `REST_TIME`.
+const REST_SPEED: f64 = 0.02;
+const REST_TIME: Span = Span::from_millis(1000);
+/// A robot asked to end has its torque taken away after this long, at rest or not.
+const SHUTDOWN_MAX: Span = Span::from_millis(5000);
+/// Beyond these the small-angle regime of both laws is left [rad].
+const ROLL_FAULT: f64 = 1.0;
+const SWING_FAULT: f64 = 1.4;
+/// Position uncertainty with which a robot may be armed [m].
+const LOCALISED_SIGMA: f64 = 0.3;
+
+impl Agent {
+    /// An agent that starts at `now`, in [`Mode::Boot`].
+    ///
+    /// # Errors
+    /// Gains that cannot be stable (E2-E4), with the numbers.
+    pub fn new(now: Instant<AgentClock>, config: AgentConfig) -> Result<Self, GainError> {
+        let robot = &config.robot;
+        let estimator = Estimator::new(&robot.params, EstimatorConfig::starting_at(config.start));
+        let velocity = Hsmc::from_robot(robot)?;
+        let direction = DirectionController::from_robot(config.direction, robot)?;
+        let due = Deadlines {
+            control: now,
+            telemetry: now,
+            status: now,
+            beacon: now,
+            heartbeat: now,
+        };
+        Ok(Self {
+            config,
+            estimator,
+            velocity,
+            direction,
+            mode: ModeMachine::new(),
+            playback: Playback::new(),
+            reference: Reference::default(),
+            reader: FrameReader::new(mavlink::BOARD_SYSTEM),
+            board: Board::default(),
+            lease: Lease::default(),
+            dropped: [0; DropReason::COUNT],
+            signals: Signals::default(),
+            still_since: None,
+            shutdown: None,
+            torque_sequence: 0,
+            due,
+            outputs: VecDeque::with_capacity(OUTPUTS_MAX),
+        })
+    }
+
+    /// Takes in what has happened by `now`. Never fails: what cannot be used is dropped and counted.
+    pub fn handle_input(&mut self, now: Instant<AgentClock>, input: Input<'_>) {
+        match input {
+            Input::Motor(bytes) => self.on_motor(now, bytes),
+            Input::Message { key, bytes } => {
+                if let Err(reason) = self.on_message(now, key, bytes) {
+                    self.drop_message(reason);
+                }
+            }
+            Input::Timeout => self.on_timeout(now),
+            Input::Shutdown => self.on_shutdown(now),
+        }
+    }
+
+    /// The next thing to do, until `None`.
+    pub fn poll_output(&mut self) -> Option<Output> {
+        self.outputs.pop_front()
+    }
+
+    /// When [`Input::Timeout`] is due.
+    pub fn poll_timeout(&self) -> Instant<AgentClock> {
+        self.due.control
+    }
+
+    /// The mode.
+    pub fn mode(&self) -> Mode {
+        self.mode.mode()
+    }
+
+    /// Signals of the last control step.
+    pub fn signals(&self) -> &Signals {
+        &self.signals
+    }
+
+    /// Messages and frames dropped, by reason.
+    pub fn dropped(&self) -> &[u32; DropReason::COUNT] {
+        &self.dropped
+    }
+
+    fn on_motor(&mut self, now: Instant<AgentClock>, bytes: &[u8]) {
+        self.reader.push(bytes);
+        while let Some(event) = self.reader.next_event() {
+            match event {
+                BoardEvent::Sensors(measurement) => {
+                    self.board.clock.observe(now, measurement.stamp);
+                    self.board.status = measurement.status;
+                    if self.estimator.on_measurement(&measurement) {
+                        self.board.last_frame = Some(now);
+                        self.board.last_stamp = Some(measurement.stamp);
+                    }
+                }
+                BoardEvent::Fix(fix) => self.estimator.on_fix(&fix),
+                BoardEvent::Heartbeat | BoardEvent::Torque(_) => {}
+            }
+        }
+    }
+
+    fn on_message(&mut self, now: Instant<AgentClock>, key: &str, bytes: &[u8]) -> Result<(), DropReason> {
+        let key = Key::parse(key).map_err(|_| DropReason::Malformed)?;
+        if key.robot != self.config.id {
+            return Err(DropReason::WrongRobot);
+        }
+        match (key.direction, key.topic.as_str()) {
+            (Direction::Down, SetpointPlan::TOPIC) => self.on_plan(now, wire::decode(bytes)?),
+            (Direction::Command, Command::TOPIC) => self.on_command(now, &wire::decode(bytes)?),
+            _ => Err(DropReason::Unexpected),
+        }
+    }
+
+    fn on_plan(&mut self, now: Instant<AgentClock>, plan: SetpointPlan) -> Result<(), DropReason> {
+        if plan.robot != self.config.id {
+            return Err(DropReason::WrongRobot);
+        }
+        if plan.boot_id != self.config.boot_id {
+            return Err(DropReason::WrongBoot);
+        }
+        if self.lease.station == 0 || plan.id.epoch != self.lease.epoch {
+            return Err(DropReason::WrongEpoch);
+        }
+        self.lease.heard = Some(now);
+        self.playback.receive(plan, now, &self.config.robot.limits)
+    }
+
+    fn on_command(&mut self, now: Instant<AgentClock>, command: &Command) -> Result<(), DropReason> {
+        if command.robot != self.config.id {
+            return Err(DropReason::WrongRobot);
+        }
+        if command.boot_id != self.config.boot_id {
+            return Err(DropReason::WrongBoot);
+        }
+        if !self.lease.is_new(command.station, command.number) {
+            return Err(DropReason::Old);
+        }
+        let owner = self.lease.station == command.station;
+        if owner {
+            self.lease.heard = Some(now);
+        }
+        let refused = match command.order {
+            CommandOrder::Claim => {
+                self.claim(now, command.station);
+                None
+            }
+            CommandOrder::Disarm => {
+                let transition = self.mode.disarm(Reason::Ordered);
+                self.report(transition);
+                None
+            }
+            // Whoever sees a reason to stop may stop it; only its owner may set it in motion.
+            CommandOrder::Hold => self.mode.hold(Reason::Ordered).map(|transition| self.report(transition)).err(),
+            _ if !owner => return Err(DropReason::WrongEpoch),
+            CommandOrder::Release => {
+                self.end_lease();
+                None
+            }
+            CommandOrder::Arm => match self.mode.arm() {
+                Ok(transition) => {
+                    if transition.is_some() {
+                        self.begin_control();
+                    }
+                    self.report(transition);
+                    None
+                }
+                Err(mode) => Some(mode),
+            },
+            CommandOrder::Resume => self.mode.resume().err(),
+        };
+        if let Some(mode) = refused {
+            self.emit(Output::Event(Event::Refused { order: command.order, mode }));
+        }
+        Ok(())
+    }
+
+    fn claim(&mut self, now: Instant<AgentClock>, station: u64) {
+        let silent = self.lease.heard.is_none_or(|heard| now - heard > self.config.timing.lease_timeout);
+        let holder = self.lease.station;
+        if holder != 0 && holder != station && !silent {
+            self.emit(Output::Event(Event::LeaseRefused { station, holder }));
+            return;
+        }
+        // A plan in play ends by its own validity: a station that restarts picks the robot up without a jump.
+        self.lease.epoch += 1;
+        self.lease.station = station;
+        self.lease.heard = Some(now);
+        self.due.status = now;
+        self.emit(Output::Event(Event::Leased { station, epoch: self.lease.epoch }));
+    }
+
+    fn end_lease(&mut self) {
+        self.lease.station = 0;
+        self.playback.stop();
+        let transition = self.mode.on_no_plan(Reason::LeaseChanged);
+        self.report(transition);
+    }
+
+    fn on_shutdown(&mut self, now: Instant<AgentClock>) {
+        if self.shutdown.is_none() {
+            self.shutdown = Some(now);
+            if let Ok(transition) = self.mode.hold(Reason::Shutdown) {
+                self.report(transition);
+            }
+        }
+    }
+
+    fn on_timeout(&mut self, now: Instant<AgentClock>) {
+        while self.due.control <= now {
+            self.control_step(now);
+            self.due.control += self.config.timing.control;
+        }
+        if self.due.heartbeat <= now {
+            self.emit(Output::Motor(mavlink::heartbeat(self.mode.is_armed())));
+            self.due.heartbeat += HEARTBEAT_PERIOD;
+        }
+        if self.due.status <= now {
+            self.publish_status(now);
+            self.due.status = now + self.config.timing.status;
+        }
+        if self.due.beacon <= now {
+            self.publish_beacon(now);
+            self.due.beacon += self.config.timing.beacon;
+        }
+    }
+
+    /// Checks, plan, setpoint, torque: once a control period.
+    fn control_step(&mut self, now: Instant<AgentClock>) {
+        let state = self.state_at(now);
+        let transition = self.mode.on_checks(self.first_failing_check(now));
+        self.report(transition);
+        if let Some(reason) = self.first_fault(now, &state) {
+            let transition = self.mode.fault(reason);
+            self.report(transition);
+        }
+        self.watch_rest(now, &state);
+
+        self.playback.advance(now);
+        let planned = self.planned_command(now, &state);
+        if self.due.telemetry <= now {
+            self.publish_telemetry(now, &state);
+            self.due.telemetry += self.config.timing.telemetry;
+        }
+
+        let dt = self.config.timing.control.as_secs_f64();
+        let limits = &self.config.robot.limits;
+        let (setpoint, torque) = if self.mode.is_armed() {
+            let setpoint = match planned {
+                Some([v_c, q_c]) => {
+                    let bound = roll_bound(state.v, &self.config.robot.params, limits);
+                    self.reference.follow(v_c, q_c.clamp(-bound, bound), dt, limits)
+                }
+                None => self.reference.brake(dt, limits),
+            };
+            let torque = Torque {
+                pitch: self.velocity.step(&state, &setpoint, dt),
+                roll: self.direction.step(&state, &setpoint, dt),
+            };
+            (setpoint, torque)
+        } else {
+            (Setpoint::default(), Torque::default())
+        };
+        let torque = if torque.pitch.is_finite() && torque.roll.is_finite() {
+            torque
+        } else {
+            let transition = self.mode.fault(Reason::ControllerFailed);
+            self.report(transition);
+            Torque::default()
+        };
+        self.send_torque(torque);
+        let playing = self.playing();
+        self.signals = Signals {
+            state,
+            setpoint,
+            command: planned,
+            torque,
+            playing: playing.map(|plan| plan.id),
+            plan_age: playing.map(|plan| now - plan.based_on),
+        };
+    }
+
+    /// The command of the plan in force, and the mode that follows from there being one or not.
+    fn planned_command(&mut self, now: Instant<AgentClock>, state: &RobotState) -> Option<[f64; 2]> {
+        if !self.mode.accepts_plans() {
+            return None;
+        }
+        let x = reference_state(state, self.reference.v(), self.reference.q_r());
+        let robot = &self.config.robot;
+        match self.playback.command(now, &x, &robot.params, &robot.limits) {
+            Ok(command) => {
+                let transition = self.mode.on_plan();
+                self.report(transition);
+                Some([command.v, command.q_r])
+            }
+            Err(why) => {
+                let transition = self.mode.on_no_plan(Reason::PlanEnded(why));
+                self.report(transition);
+                if why != NoPlan::None && !self.playback.has_waiting() {
+                    self.playback.stop();
+                }
+                None
+            }
+        }
+    }
+
+    fn playing(&self) -> Option<&SetpointPlan> {
+        if self.mode.mode() == Mode::Tracking { self.playback.playing() } else { None }
+    }
+
+    /// The estimate moved from the last frame's stamp to `now` by its own rates.
+    fn state_at(&self, now: Instant<AgentClock>) -> RobotState {
+        let mut state = self.estimator.state();
+        let Some(stamp) = self.board.last_stamp else {
+            return state;
+        };
+        let age = self.board.clock.age(now, stamp);
+        if age < Span::ZERO || age > self.config.timing.sensor_timeout {
+            return state;
+        }
+        let dt = age.as_secs_f64();
+        let heading_rate = state.v * state.q_r.tan() / self.config.robot.params.r;
+        let sideways = self.config.robot.params.r * state.q_r_rate;
+        let (sin, cos) = (state.heading + 0.5 * dt * heading_rate).sin_cos();
+        state.x += dt * (state.v * cos - sideways * sin);
+        state.y += dt * (state.v * sin + sideways * cos);
+        state.heading += dt * heading_rate;
+        state.q_r += dt * state.q_r_rate;
+        state.beta += dt * state.beta_rate;
+        state.alpha += dt * state.alpha_rate;
+        state
+    }
+
+    fn first_failing_check(&self, now: Instant<AgentClock>) -> Option<Check> {
+        let state = self.estimator.state();
+        if self.sensors_stale(now) {
+            Some(Check::SensorsFresh)
+        } else if !self.estimator.converged() {
+            Some(Check::EstimatorConverged)
+        } else if !(self.board.status.imu_ok && self.board.status.encoders_ok) {
+            Some(Check::BoardHealthy)
+        } else if self.estimator.position_sigma() > LOCALISED_SIGMA {
+            Some(Check::Localised)
+        } else if state.q_r.abs() > 0.5 * ROLL_FAULT || state.alpha.abs().max(state.beta.abs()) > 0.5 * SWING_FAULT {
+            Some(Check::Upright)
+        } else {
+            None
+        }
+    }
+
+    /// What makes control impossible now.
+    fn first_fault(&self, now: Instant<AgentClock>, state: &RobotState) -> Option<Reason> {
+        let finite = [state.x, state.y, state.heading, state.v, state.q_r, state.beta, state.alpha];
+        if self.sensors_stale(now) {
+            Some(Reason::SensorsLost)
+        } else if !(self.board.status.imu_ok && self.board.status.encoders_ok) {
+            Some(Reason::SensorFailed)
+        } else if !finite.iter().all(|value| value.is_finite()) {
+            Some(Reason::EstimatorFailed)
+        } else if state.q_r.abs() > ROLL_FAULT || state.alpha.abs().max(state.beta.abs()) > SWING_FAULT {
+            Some(Reason::OverTilt)
+        } else {
+            None
+        }
+    }
+
+    fn sensors_stale(&self, now: Instant<AgentClock>) -> bool {
+        self.board.last_frame.is_none_or(|last| now - last > self.config.timing.sensor_timeout)
+    }
+
+    fn watch_rest(&mut self, now: Instant<AgentClock>, state: &RobotState) {
+        if state.v.abs() > REST_SPEED {
+            self.still_since = None;
+        } else if self.still_since.is_none() {
+            self.still_since = Some(now);
+        }
+        let Some(asked) = self.shutdown else {
+            return;
+        };
+        let at_rest = self.still_since.is_some_and(|since| now - since >= REST_TIME);
+        if !self.mode.is_armed() || at_rest || now - asked >= SHUTDOWN_MAX {
+            let transition = self.mode.disarm(Reason::Shutdown);
+            self.report(transition);
+            self.shutdown = None;
+            self.emit(Output::Event(Event::Ended));
+        }
+    }
+
+    /// Controllers and reference start from what the robot does now.
+    fn begin_control(&mut self) {
+        let state = self.estimator.state();
+        self.reference = Reference::starting_at(state.v, state.q_r);
+        self.velocity.reset();
+        self.direction.reset();
+        self.playback.stop();
+    }
+
+    fn send_torque(&mut self, torque: Torque) {
+        self.torque_sequence = self.torque_sequence.wrapping_add(1);
+        let validity = self.config.timing.torque_validity;
+        match mavlink::torque_command(torque, validity, self.torque_sequence) {
+            Ok(frame) => self.emit(Output::Motor(frame)),
+            // Out of the link's range: the board's validity turns silence into zero torque.
+            Err(_) => self.drop_message(DropReason::OutOfRange),
+        }
+    }
+
+    fn publish_telemetry(&mut self, now: Instant<AgentClock>, state: &RobotState) {
+        let torque = self.signals.torque;
+        self.publish(&Telemetry {
+            robot: self.config.id,
+            boot_id: self.config.boot_id,
+            stamp: now,
+            mode: self.mode.mode(),
+            state: *state,
+            v_d: self.reference.v(),
+            q_rd: self.reference.q_r(),
+            position_sigma: self.estimator.position_sigma(),
+            playing: self.playing().map(|plan| plan.id),
+            newest: self.playback.newest(),
+            received: self.playback.received(),
+            loop_delay: self.playback.loop_delay(),
+            epoch: if self.lease.station == 0 { 0 } else { self.lease.epoch },
+            command: self.lease.newest_command,
+            torque: [torque.pitch, torque.roll],
+        });
+    }
+
+    fn publish_status(&mut self, now: Instant<AgentClock>) {
+        let mut reason = ArrayString::new();
+        // A sentence longer than the field is cut short, not lost.
+        let _ = write!(reason, "{}", self.mode.reason());
+        let software = ArrayString::from(env!("CARGO_PKG_VERSION")).unwrap_or_default();
+        self.publish(&Status {
+            robot: self.config.id,
+            boot_id: self.config.boot_id,
+            stamp: now,
+            mode: self.mode.mode(),
+            reason,
+            dropped: self.dropped,
+            gain_guard: self.direction.gain_guard_count(),
+            software,
+            epoch: if self.lease.station == 0 { 0 } else { self.lease.epoch },
+            station: self.lease.station,
+        });
+    }
+
+    fn publish_beacon(&mut self, now: Instant<AgentClock>) {
+        let state = self.state_at(now);
+        let sideways = self.config.robot.params.r * state.q_r_rate;
+        let (sin, cos) = state.heading.sin_cos();
+        self.publish(&Beacon {
+            robot: self.config.id,
+            boot_id: self.config.boot_id,
+            stamp: now,
+            position: [state.x, state.y],
+            velocity: [state.v * cos - sideways * sin, state.v * sin + sideways * cos],
+            radius: self.config.robot.params.r,
+        });
+    }
+
+    fn publish<M: wire::Encode>(&mut self, message: &M) {
+        let mut bytes = Payload::new();
+        match wire::encode(message, &mut bytes) {
+            Ok(()) => self.emit(Output::Publish { direction: M::DIRECTION, topic: M::TOPIC, qos: M::QOS, bytes }),
+            Err(_) => self.drop_message(DropReason::OutOfRange),
+        }
+    }
+
+    fn report(&mut self, transition: Option<Transition>) {
+        if let Some(transition) = transition {
+            // Tell the station with the next timeout, not with the next status period.
+            self.due.status = self.due.control;
+            self.emit(Output::Event(Event::Mode(transition)));
+        }
+    }
+
+    fn drop_message(&mut self, reason: DropReason) {
+        let count = &mut self.dropped[reason as usize];
+        *count = count.saturating_add(1);
+        self.emit(Output::Event(Event::Dropped(reason)));
+    }
+
+    fn emit(&mut self, output: Output) {
+        // A shell that does not drain loses the oldest, never memory.
+        if self.outputs.len() == OUTPUTS_MAX {
+            self.outputs.pop_front();
+        }
+        self.outputs.push_back(output);
+    }
+}
+
+impl Lease {
+    /// Whether a command with this number is new from this station; remembers it.
+    fn is_new(&mut self, station: u64, number: u32) -> bool {
+        let known = self.commands.iter_mut().find(|(known, _)| *known == station);
+        let new = match known {
+            Some((_, last)) if number <= *last => false,
+            Some((_, last)) => {
+                *last = number;
+                true
+            }
+            None => {
+                if self.commands.is_full() {
+                    self.commands.remove(0);
+                }
+                self.commands.push((station, number));
+                true
+            }
+        };
+        if new {
+            self.newest_command = number;
+        }
+        new
+    }
+}
