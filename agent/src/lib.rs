@@ -1,1 +1,5 @@
 //! stub
+
+pub mod control;
+pub mod gains;
+pub mod model;
