@@ -165,7 +165,7 @@ impl Plant {
         let (r, s) = (self.params.r, &state.robot);
         let geometry = Geometry::of(s, r);
         let g = gravity(&self.params, s.heading.sin_cos(), around);
-        let yaw_rate = s.v / r * geometry.tq;
+        let yaw_rate = s.v * geometry.yaw_v;
         let a = [
             accelerations.v - r * s.q_r_rate * yaw_rate + g[0],
             r * accelerations.q_r + s.v * yaw_rate + g[1],
@@ -190,8 +190,8 @@ impl Plant {
             // Eq (1): Ẋ = v cos φ − R q̇_r sin φ, Ẏ = v sin φ + R q̇_r cos φ, φ̇ = v tan q_r / R
             s.v * cos - sideways * sin,
             s.v * sin + sideways * cos,
-            s.v * geometry.tq / r,
-            s.v / (r * geometry.cq),
+            s.v * geometry.yaw_v,
+            s.v * geometry.shell_v,
             s.alpha_rate,
             s.beta_rate,
             s.q_r_rate,
@@ -210,7 +210,7 @@ impl Plant {
         torque: Torque,
         around: &Surroundings,
     ) -> Accelerations {
-        let forces = self.generalised_forces(state, geometry.cq, torque, around);
+        let forces = self.generalised_forces(state, geometry.shell_v, torque, around);
         Equations::of(&self.params, &state.robot, geometry, g).solve(forces)
     }
 
@@ -221,19 +221,19 @@ impl Plant {
     fn generalised_forces(
         &self,
         state: &PlantState,
-        cq: f64,
+        shell_v: f64,
         torque: Torque,
         around: &Surroundings,
     ) -> [f64; 4] {
         let (p, s) = (&self.params, &state.robot);
-        let pitch_rate = s.alpha_rate + s.v / (p.r * cq);
+        let pitch_rate = s.alpha_rate + s.v * shell_v;
         let pitch = torque.pitch - friction::joint(p.zeta, p.coulomb, pitch_rate);
         let roll = torque.roll - friction::joint(p.zeta, p.coulomb, s.beta_rate + s.q_r_rate);
         let (resisting_force, resisting_torque) = self.rolling_resistance(s, around);
         let (push_roll, push_pitch) = around.torques(state.phi_s);
         [
             pitch,
-            pitch / (p.r * cq) - resisting_force + push_pitch / p.r,
+            pitch * shell_v - resisting_force + push_pitch / p.r,
             roll,
             roll - resisting_torque + push_roll,
         ]

@@ -58,9 +58,12 @@ pub struct Equations {
 /// Directions and partial angular velocities: all that depends on the angles alone.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Geometry {
-    pub(super) cq: f64,
-    pub(super) tq: f64,
+    /// ∂φ̇/∂v = tan q_r / R [rad/m].
+    pub(super) yaw_v: f64,
+    /// ∂φ̇_s/∂v = 1 / (R cos q_r) [rad/m].
+    pub(super) shell_v: f64,
     sq: f64,
+    cq: f64,
     ca: f64,
     sa: f64,
     ct: f64,
@@ -82,13 +85,15 @@ impl Geometry {
         let (sq, cq) = state.q_r.sin_cos();
         let (sa, ca) = state.alpha.sin_cos();
         let (st, ct) = (state.beta + state.q_r).sin_cos();
-        let tq = sq / cq;
-        let per_radius = sq / radius;
-        let frame_v = [per_radius * sa, -per_radius * tq, per_radius * ca];
+        let shell_v = 1.0 / (radius * cq);
+        let yaw_v = sq * shell_v;
+        let per_radius = cq * yaw_v;
+        let frame_v = [per_radius * sa, -sq * yaw_v, per_radius * ca];
         Self {
-            cq,
-            tq,
+            yaw_v,
+            shell_v,
             sq,
+            cq,
             ca,
             sa,
             ct,
@@ -220,20 +225,21 @@ impl Equations {
             forces[3] - h[3],
         ];
         // α and β eliminated: the Schur complement of their (diagonal) block, and its right side.
-        let (v_per_a, q_per_a) = (av / aa, aq / aa);
-        let (v_per_b, q_per_b) = (vb / bb, bq / bb);
+        let (per_aa, per_bb) = (1.0 / aa, 1.0 / bb);
+        let (v_per_a, q_per_a) = (av * per_aa, aq * per_aa);
+        let (v_per_b, q_per_b) = (vb * per_bb, bq * per_bb);
         let svv = vv - v_per_a * av - v_per_b * vb;
         let svq = vq - v_per_a * aq - v_per_b * bq;
         let sqq = qq - q_per_a * aq - q_per_b * bq;
         let rv = fv - v_per_a * fa - v_per_b * fb;
         let rq = fq - q_per_a * fa - q_per_b * fb;
-        let det = svv * sqq - svq * svq;
-        let v = (sqq * rv - svq * rq) / det;
-        let q_r = (svv * rq - svq * rv) / det;
+        let per_det = 1.0 / (svv * sqq - svq * svq);
+        let v = (sqq * rv - svq * rq) * per_det;
+        let q_r = (svv * rq - svq * rv) * per_det;
         Accelerations {
-            alpha: (fa - av * v - aq * q_r) / aa,
+            alpha: (fa - av * v - aq * q_r) * per_aa,
             v,
-            beta: (fb - vb * v - bq * q_r) / bb,
+            beta: (fb - vb * v - bq * q_r) * per_bb,
             q_r,
         }
     }
@@ -244,7 +250,6 @@ fn bias(p: &RobotParams, state: &RobotState, geo: &Geometry, g: [f64; 3]) -> [f6
     let &Geometry {
         sq,
         cq,
-        tq,
         ca,
         sa,
         ct,
@@ -270,7 +275,7 @@ fn bias(p: &RobotParams, state: &RobotState, geo: &Geometry, g: [f64; 3]) -> [f6
     let (r, mass, ml) = (p.r, p.total_mass(), p.m * p.l);
     let inertia = [p.i_mr(), p.i_mp(), p.j_mu];
     let (roll_rate, theta_rate) = (v / r, bd + qd);
-    let yaw_rate = roll_rate * tq;
+    let yaw_rate = v * geo.yaw_v;
 
     let omega = geo.frame_rates(state);
     let pend = [
@@ -282,7 +287,7 @@ fn bias(p: &RobotParams, state: &RobotState, geo: &Geometry, g: [f64; 3]) -> [f6
     // ω̇′ and ṗ′: the rates above differentiated at constant u; d(sin q tan q)/dq = sin q + tan q / cos q.
     let omega_dot = [
         qd * ad * sa + roll_rate * (cq * qd * sa + sq * ca * ad),
-        -roll_rate * qd * (sq + tq / cq),
+        -qd * (roll_rate * sq + yaw_rate / cq),
         qd * ad * ca + roll_rate * (cq * qd * ca - sq * sa * ad),
     ];
     let pend_dot = [
