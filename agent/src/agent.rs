@@ -7,20 +7,23 @@ use std::collections::VecDeque;
 use std::fmt::Write as _;
 
 use arrayvec::{ArrayString, ArrayVec};
-use sphere_protocol::key::{self, Key};
-use sphere_protocol::mavlink::{self, BoardEvent, Frame, FrameReader};
+use sphere_protocol::key::Key;
+use sphere_protocol::mavlink::{
+    AGENT, BOARD, Event as BoardEvent, Frame, FrameReader, FrameWriter, Framing, Heartbeat, TorqueCommand,
+};
 use sphere_protocol::message::{
     Beacon, Command, CommandOrder, Direction, DropReason, Message, Mode, PlanId, Qos, SetpointPlan, Status, Telemetry,
 };
 use sphere_protocol::state::{BoardStatus, RobotState, Setpoint, Torque};
 use sphere_protocol::time::{AgentClock, BoardClock, Instant, Span};
-use sphere_protocol::wire::{self, Payload};
+use sphere_protocol::wire::{self, Wire};
 
 use crate::board_clock::BoardClockMap;
 use crate::config::AgentConfig;
-use crate::control::{DirectionController, Hsmc};
+use crate::control::DirectionController;
+use crate::control::hsmc::{Hsmc, SpeedShape};
 use crate::estimator::{Estimator, EstimatorConfig};
-use crate::gains::GainError;
+use crate::gains::GainsError;
 use crate::mode::{Check, ModeMachine, Reason, Transition};
 use crate::plan::{NoPlan, Playback, reference_state};
 use crate::reference::{Reference, roll_bound};
@@ -42,6 +45,9 @@ pub enum Input<'a> {
     /// The program is to end: brake, rest, then zero torque and [`Event::Ended`].
     Shutdown,
 }
+
+/// A message of an agent as bytes; its longest, the status, takes under 400.
+pub type Payload = ArrayVec<u8, 512>;
 
 /// What an agent wants done.
 #[derive(Clone, Debug)]
@@ -114,16 +120,16 @@ pub struct Signals {
 }
 
 /// One robot's agent.
-#[derive(Debug)]
 pub struct Agent {
     config: AgentConfig,
     estimator: Estimator,
     velocity: Hsmc,
-    direction: DirectionController,
+    direction: Box<dyn DirectionController + Send>,
     mode: ModeMachine,
     playback: Playback,
     reference: Reference,
     reader: FrameReader,
+    writer: FrameWriter,
     board: Board,
     lease: Lease,
     dropped: [u32; DropReason::COUNT],
@@ -182,11 +188,11 @@ impl Agent {
     ///
     /// # Errors
     /// Gains that cannot be stable (E2-E4), with the numbers.
-    pub fn new(now: Instant<AgentClock>, config: AgentConfig) -> Result<Self, GainError> {
+    pub fn new(now: Instant<AgentClock>, config: AgentConfig) -> Result<Self, GainsError> {
         let robot = &config.robot;
         let estimator = Estimator::new(&robot.params, EstimatorConfig::starting_at(config.start));
         let velocity = Hsmc::from_robot(robot)?;
-        let direction = DirectionController::from_robot(config.direction, robot)?;
+        let direction = config.direction.build(robot)?;
         let due = Deadlines {
             control: now,
             telemetry: now,
@@ -202,7 +208,8 @@ impl Agent {
             mode: ModeMachine::new(),
             playback: Playback::new(),
             reference: Reference::default(),
-            reader: FrameReader::new(mavlink::BOARD_SYSTEM),
+            reader: FrameReader::new(Framing::Stream, AGENT, Some(BOARD.system)),
+            writer: FrameWriter::new(AGENT),
             board: Board::default(),
             lease: Lease::default(),
             dropped: [0; DropReason::COUNT],
@@ -254,11 +261,10 @@ impl Agent {
         &self.dropped
     }
 
-    fn on_motor(&mut self, now: Instant<AgentClock>, bytes: &[u8]) {
-        self.reader.push(bytes);
-        while let Some(event) = self.reader.next_event() {
-            match event {
-                BoardEvent::Sensors(measurement) => {
+    fn on_motor(&mut self, now: Instant<AgentClock>, mut bytes: &[u8]) {
+        while let Some(received) = self.reader.pull(&mut bytes) {
+            match received.event {
+                BoardEvent::Sensors { measurement, .. } => {
                     self.board.clock.observe(now, measurement.stamp);
                     self.board.status = measurement.status;
                     if self.estimator.on_measurement(&measurement) {
@@ -267,19 +273,19 @@ impl Agent {
                     }
                 }
                 BoardEvent::Fix(fix) => self.estimator.on_fix(&fix),
-                BoardEvent::Heartbeat | BoardEvent::Torque(_) => {}
+                BoardEvent::Heartbeat(_) | BoardEvent::Torque(_) | BoardEvent::Other(_) => {}
             }
         }
     }
 
     fn on_message(&mut self, now: Instant<AgentClock>, key: &str, bytes: &[u8]) -> Result<(), DropReason> {
         let key = Key::parse(key).map_err(|_| DropReason::Malformed)?;
-        if key.robot != self.config.id {
+        if key.robot() != self.config.id {
             return Err(DropReason::WrongRobot);
         }
-        match (key.direction, key.topic.as_str()) {
-            (Direction::Down, SetpointPlan::TOPIC) => self.on_plan(now, wire::decode(bytes)?),
-            (Direction::Command, Command::TOPIC) => self.on_command(now, &wire::decode(bytes)?),
+        match (key.direction(), key.topic()) {
+            (Direction::Down, SetpointPlan::TOPIC) => self.on_plan(now, decode(bytes)?),
+            (Direction::Command, Command::TOPIC) => self.on_command(now, &decode(bytes)?),
             _ => Err(DropReason::Unexpected),
         }
     }
@@ -384,7 +390,8 @@ impl Agent {
             self.due.control += self.config.timing.control;
         }
         if self.due.heartbeat <= now {
-            self.emit(Output::Motor(mavlink::heartbeat(self.mode.is_armed())));
+            let frame = self.writer.heartbeat(&Heartbeat::agent(self.mode.mode()));
+            self.emit(Output::Motor(frame));
             self.due.heartbeat += HEARTBEAT_PERIOD;
         }
         if self.due.status <= now {
@@ -426,7 +433,7 @@ impl Agent {
                 None => self.reference.brake(dt, limits),
             };
             let torque = Torque {
-                pitch: self.velocity.step(&state, &setpoint, dt),
+                pitch: self.velocity.step(&state, &setpoint, SpeedShape::default(), dt),
                 roll: self.direction.step(&state, &setpoint, dt),
             };
             (setpoint, torque)
@@ -569,8 +576,13 @@ impl Agent {
 
     fn send_torque(&mut self, torque: Torque) {
         self.torque_sequence = self.torque_sequence.wrapping_add(1);
-        let validity = self.config.timing.torque_validity;
-        match mavlink::torque_command(torque, validity, self.torque_sequence) {
+        let command = TorqueCommand {
+            target: BOARD,
+            sequence: self.torque_sequence,
+            torque,
+            validity: self.config.timing.torque_validity,
+        };
+        match self.writer.torque(&command) {
             Ok(frame) => self.emit(Output::Motor(frame)),
             // Out of the link's range: the board's validity turns silence into zero torque.
             Err(_) => self.drop_message(DropReason::OutOfRange),
@@ -610,7 +622,7 @@ impl Agent {
             mode: self.mode.mode(),
             reason,
             dropped: self.dropped,
-            gain_guard: self.direction.gain_guard_count(),
+            gain_guard: self.direction.counters().gain_guard,
             software,
             epoch: if self.lease.station == 0 { 0 } else { self.lease.epoch },
             station: self.lease.station,
@@ -631,7 +643,7 @@ impl Agent {
         });
     }
 
-    fn publish<M: wire::Encode>(&mut self, message: &M) {
+    fn publish<M: Wire>(&mut self, message: &M) {
         let mut bytes = Payload::new();
         match wire::encode(message, &mut bytes) {
             Ok(()) => self.emit(Output::Publish { direction: M::DIRECTION, topic: M::TOPIC, qos: M::QOS, bytes }),
@@ -660,6 +672,10 @@ impl Agent {
         }
         self.outputs.push_back(output);
     }
+}
+
+fn decode<M: Wire>(bytes: &[u8]) -> Result<M, DropReason> {
+    wire::decode(bytes).map_err(|error| error.reason())
 }
 
 impl Lease {

@@ -1,0 +1,6 @@
+//! Sockets and clocks: the only part of this crate that touches the machine. Behind the feature `io`, so that the cores build
+//! without tokio and Zenoh.
+
+pub mod bus;
+pub mod clock;
+pub mod link;
