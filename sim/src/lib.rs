@@ -1,1 +1,3 @@
-//! stub
+//! The world in virtual time: plants, sensors and network around the very agents and station that are deployed.
+
+pub mod scenario;
