@@ -6,6 +6,8 @@
 // The generated MAVLink types say `mavlink_core`, which `mavlink` re-exports whole.
 extern crate mavlink as mavlink_core;
 
+#[cfg(feature = "io")]
+pub mod io;
 pub mod key;
 pub mod mavlink;
 pub mod message;

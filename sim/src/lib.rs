@@ -1,8 +1,14 @@
-//! The world in virtual time: the robots' true bodies, and what measures, moves and disturbs them.
+//! The world in virtual time: the robots' true bodies, their sensors and the network, around the very agents and station that are
+//! deployed.
+//!
+//! Modules in reading order:
 
-pub mod actuator;
-pub mod disturbance;
-pub mod friction;
-pub mod integrator;
+pub mod scenario;
 pub mod plant;
+pub mod friction;
+pub mod disturbance;
+pub mod integrator;
+pub mod actuator;
 pub mod sensor;
+pub mod body;
+pub mod network;

@@ -1,0 +1,112 @@
+//! The choices that a scenario makes by name.
+
+use super::table::Named;
+
+/// Declares an enum together with the name of each value in the file.
+macro_rules! named {
+    ($(#[$doc:meta])* $name:ident, $what:literal { $($(#[$value_doc:meta])* $value:ident = $text:literal,)+ }) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum $name { $($(#[$value_doc])* $value,)+ }
+
+        impl $name {
+            /// Its name in the file.
+            pub const fn name(self) -> &'static str {
+                match self { $(Self::$value => $text,)+ }
+            }
+        }
+
+        impl Named for $name {
+            const WHAT: &'static str = $what;
+            const NAMES: &'static [(&'static str, Self)] = &[$(($text, Self::$value),)+];
+        }
+    };
+}
+
+named! {
+    /// How kind the world is (MODEL §8 in words): it sets defaults that explicit keys override.
+    Environment, "environment" {
+        /// Exact sensors, no imbalance, motors without lag, delay and friction.
+        Ideal = "ideal",
+        /// Noise, the motors of the robot file, 0.2 N·m shell imbalance.
+        Real = "real",
+        /// As `Real` with 2.3 N·m imbalance and 0.5 N·m joint friction: there the paper's plain law shows the paper's steady-state errors.
+        Calibrated = "calibrated",
+    }
+}
+
+named! {
+    /// Whose planner weights.
+    Preset, "planner preset" {
+        /// This project's.
+        Ours = "ours",
+        /// The paper's, as printed.
+        Paper = "paper",
+    }
+}
+
+named! {
+    /// The planner's prediction model.
+    PlannerMode, "planner mode" {
+        /// Commands reach speed and roll through the reference lag.
+        Lag = "lag",
+        /// Speed and roll are the inputs themselves, as in eq (20).
+        Paper = "paper",
+    }
+}
+
+named! {
+    /// What is done about delay.
+    Compensation, "compensation" {
+        /// Predicted by the station, played on time, corrected by feedback gains on board.
+        Full = "full",
+        /// As `Full` without the gains.
+        NoGains = "no-gains",
+        /// Nothing: the newest command holds, as in the paper.
+        Naive = "naive",
+    }
+}
+
+named! {
+    /// Which solver plans.
+    SolverChoice, "solver" {
+        /// The Riccati sweep, and Clarabel for what it cannot solve.
+        Auto = "auto",
+        /// The Riccati sweep alone.
+        Riccati = "riccati",
+        /// Clarabel alone.
+        Clarabel = "clarabel",
+    }
+}
+
+named! {
+    /// Law of the direction controller.
+    RollController, "roll controller" {
+        /// Hierarchical terminal sliding mode, with the disturbance observer.
+        Htsmc = "htsmc",
+        /// The paper's law without observer.
+        HtsmcPaper = "htsmc-paper",
+        /// Fuzzy-PID as a cascade.
+        FuzzyPid = "fuzzy-pid",
+        /// The paper's single-loop fuzzy-PID.
+        FuzzyPidSingle = "fuzzy-pid-single",
+    }
+}
+
+named! {
+    /// What can go wrong.
+    FaultKind, "fault" {
+        /// The station stops and starts afresh.
+        StationCrash = "station-crash",
+        /// An agent stops and starts afresh.
+        AgentCrash = "agent-crash",
+        /// A process stands still, then goes on as if nothing had happened.
+        Freeze = "freeze",
+        /// Old packets are delivered again.
+        Replay = "replay",
+        /// Packets are held back and delivered late.
+        Stale = "stale",
+        /// Planning takes far longer than its period.
+        SlowPlanner = "slow-planner",
+    }
+}

@@ -1,0 +1,340 @@
+//! The `[[robots]]` of a scenario.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use sphere_protocol::robot::{Robot, RobotId, RobotParams};
+
+use super::document::{Node, Value, join, quoted};
+use super::error::Read;
+use super::read::{LENGTH_OF_TIME, TIME, empty, section};
+use super::table::{Range, Table, list_of, number_of, refused, text_of, unknown_name};
+use super::{
+    Disturbance, Environment, MissionSetup, Push, RobotModel, RobotSetup, RollController, Start,
+};
+
+/// World coordinates [m]: farther out a nanometre no longer fits an f64.
+const POSITION: Range = Range::within(-1e6, 1e6);
+/// Torques from outside [N·m].
+const TORQUE: Range = Range::within(-1e4, 1e4);
+const SPEED_EXAMPLE: &str = "speed_mps = 0.5";
+
+/// Reads every robot.
+pub(super) fn all(
+    top: &Table<'_>,
+    environment: Environment,
+    load: impl FnMut(&str) -> Result<String, String>,
+) -> Read<Vec<RobotSetup>> {
+    let mut models = Models {
+        load,
+        read: BTreeMap::new(),
+    };
+    let mut robots: Vec<RobotSetup> = Vec::new();
+    for (node, path) in top.list("robots")? {
+        let setup = one(node, &path, environment, &mut models)?;
+        if let Some(index) = robots.iter().position(|other| other.id == setup.id) {
+            let (node, path) = Table::open(node, &path, KEYS)?
+                .node("id")
+                .expect("it was read");
+            let why = format!("robots.{index} has this id already: every robot needs its own");
+            return Err(refused(node, &path, why));
+        }
+        robots.push(setup);
+    }
+    if robots.is_empty() {
+        return Err(top.missing("robots", "[[robots]] id = \"r1\""));
+    }
+    Ok(robots)
+}
+
+/// Whether the robot reference names a file rather than an embedded robot.
+pub(super) fn is_file(reference: &str) -> bool {
+    reference.ends_with(".toml")
+}
+
+fn one<F: FnMut(&str) -> Result<String, String>>(
+    node: &Node,
+    path: &str,
+    environment: Environment,
+    models: &mut Models<F>,
+) -> Read<RobotSetup> {
+    let table = Table::open(node, path, KEYS)?;
+    let id = match table.node("id") {
+        None => return Err(table.missing("id", "id = \"r1\"")),
+        Some((node, path)) => text_of(node, &path)?
+            .parse::<RobotId>()
+            .map_err(|error| refused(node, &path, error.to_string()))?,
+    };
+    let model = models.model(&table)?;
+    let (plant_scale, plant) = plant(&table, environment, model.robot.params)?;
+    Ok(RobotSetup {
+        id,
+        plant_scale,
+        plant,
+        start: start(&table)?,
+        clock_offset_s: table.number_or("clock_offset_s", Range::within(-3e8, 3e8), 0.0)?,
+        clock_drift_ppm: table.number_or("clock_drift_ppm", Range::within(-1e4, 1e4), 0.0)?,
+        roll_controller: table.named_or("roll_controller", RollController::Htsmc)?,
+        disturbance: disturbance(&table, environment)?,
+        mission: mission(&table, &model.robot)?,
+        model,
+    })
+}
+
+/// The robot files read so far, by the path in the scenario.
+struct Models<F> {
+    load: F,
+    read: BTreeMap<String, RobotModel>,
+}
+
+impl<F: FnMut(&str) -> Result<String, String>> Models<F> {
+    fn model(&mut self, table: &Table<'_>) -> Read<RobotModel> {
+        let known = || Robot::embedded_names().collect::<Vec<_>>();
+        let Some((node, path)) = table.node("robot") else {
+            let first = known()[0];
+            let robot = Robot::embedded(first).expect("it was just listed");
+            return Ok(RobotModel {
+                reference: first.to_owned(),
+                robot,
+            });
+        };
+        let reference = text_of(node, &path)?;
+        if let Some(model) = self.read.get(reference) {
+            return Ok(model.clone());
+        }
+        let model = if let Some(robot) = Robot::embedded(reference) {
+            RobotModel {
+                reference: reference.to_owned(),
+                robot,
+            }
+        } else if is_file(reference) {
+            let text = (self.load)(reference).map_err(|why| refused(node, &path, why))?;
+            let name = self.file_name(reference);
+            let robot = Robot::parse(name.trim_end_matches(".toml"), &text)
+                .map_err(|error| refused(node, &path, error.to_string()))?;
+            RobotModel {
+                reference: name,
+                robot,
+            }
+        } else {
+            let known = known().into_iter().chain(["a path ending in .toml"]);
+            return Err(unknown_name(node, &path, "robot", known));
+        };
+        self.read.insert(reference.to_owned(), model.clone());
+        Ok(model)
+    }
+
+    /// A name for the file at `path` beside the drawn scenario: `robot-` and its own name, numbered if another has it. A drawn
+    /// scenario's files keep theirs.
+    fn file_name(&self, path: &str) -> String {
+        let own = Path::new(path)
+            .file_stem()
+            .map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
+        let stem = own.strip_prefix("robot-").unwrap_or(&own);
+        let taken = |name: &String| self.read.values().any(|model| model.reference == *name);
+        core::iter::once(format!("robot-{stem}.toml"))
+            .chain((2..).map(|number| format!("robot-{stem}-{number}.toml")))
+            .find(|name| !taken(name))
+            .expect("numbers do not run out")
+    }
+}
+
+/// The scale factors and the true parameters.
+fn plant(
+    table: &Table<'_>,
+    environment: Environment,
+    mut params: RobotParams,
+) -> Read<(BTreeMap<String, f64>, RobotParams)> {
+    match environment {
+        Environment::Ideal => {
+            (params.motor_lag, params.motor_delay, params.coulomb) = (0.0, 0.0, 0.0)
+        }
+        Environment::Real => {}
+        Environment::Calibrated => params.coulomb = 0.5,
+    }
+    let mut scale = BTreeMap::new();
+    let Some((node, path)) = table.node("plant") else {
+        return Ok((scale, params));
+    };
+    let plant = Table::open(node, &path, &["scale"])?;
+    let Some((node, path)) = plant.node("scale") else {
+        return Ok((scale, params));
+    };
+    let Value::Table(entries) = &node.value else {
+        let why = "it must be a table of factors such as { m = 1.15 }".to_owned();
+        return Err(refused(node, &path, why));
+    };
+    for (key, node) in entries {
+        let path = join(&path, key);
+        let factor = number_of(node, &path, Range::within(0.0, 1e3))?;
+        params
+            .scale(key, factor)
+            .map_err(|why| refused(node, &path, why))?;
+        params
+            .validated()
+            .map_err(|why| refused(node, &path, why))?;
+        scale.insert(key.clone(), factor);
+    }
+    Ok((scale, params))
+}
+
+fn start(table: &Table<'_>) -> Read<Start> {
+    let empty = empty();
+    let table = section(table, "start", &["x_m", "y_m", "heading_deg"], &empty)?;
+    Ok(Start {
+        x_m: table.number_or("x_m", POSITION, 0.0)?,
+        y_m: table.number_or("y_m", POSITION, 0.0)?,
+        heading_deg: table.number_or("heading_deg", Range::within(-36e3, 36e3), 0.0)?,
+    })
+}
+
+fn disturbance(table: &Table<'_>, environment: Environment) -> Read<Disturbance> {
+    let imbalance_nm = match environment {
+        Environment::Ideal => 0.0,
+        Environment::Real => 0.2,
+        Environment::Calibrated => 2.3,
+    };
+    let empty = empty();
+    let table = section(table, "disturbance", &["imbalance_nm", "pushes"], &empty)?;
+    let mut pushes = Vec::new();
+    for (node, path) in table.list("pushes")? {
+        let push = Table::open(node, &path, &["at_s", "roll_nm", "for_s"])?;
+        pushes.push(Push {
+            at_s: push.required_number("at_s", TIME, "at_s = 20.0")?,
+            roll_nm: push.required_number("roll_nm", TORQUE, "roll_nm = 5.0")?,
+            for_s: push.required_number("for_s", LENGTH_OF_TIME, "for_s = 0.2")?,
+        });
+    }
+    Ok(Disturbance {
+        imbalance_nm: table.number_or("imbalance_nm", Range::within(0.0, 1e4), imbalance_nm)?,
+        pushes,
+    })
+}
+
+fn mission(table: &Table<'_>, robot: &Robot) -> Read<MissionSetup> {
+    let Some((node, path)) = table.node("mission") else {
+        return Ok(MissionSetup::Hold);
+    };
+    if let Value::Text(kind) = &node.value {
+        let why = format!("it must be a table: write {{ kind = {} }}", quoted(kind));
+        return Err(refused(node, &path, why));
+    }
+    let all: Vec<_> = MISSIONS
+        .iter()
+        .flat_map(|(_, keys)| *keys)
+        .chain(&["kind"])
+        .copied()
+        .collect();
+    let any = Table::open(node, &path, &all)?;
+    let kind = any
+        .text("kind")?
+        .ok_or_else(|| any.missing("kind", "kind = \"lemniscate\""))?;
+    let Some((_, keys)) = MISSIONS.iter().find(|(name, _)| *name == kind) else {
+        let (node, path) = any.node("kind").expect("it was read");
+        let known = MISSIONS.iter().map(|(name, _)| *name);
+        return Err(unknown_name(node, &path, "mission", known));
+    };
+    for key in all
+        .iter()
+        .filter(|key| **key != "kind" && !keys.contains(key))
+    {
+        if let Some((node, path)) = any.node(key) {
+            let takes = if keys.is_empty() {
+                "nothing else".to_owned()
+            } else {
+                keys.join(", ")
+            };
+            let why = format!("a mission of kind {} takes {takes}", quoted(kind));
+            return Err(refused(node, &path, why));
+        }
+    }
+    let v_max = robot.limits.v_max;
+    let speed = || any.required_number("speed_mps", Range::positive(v_max), SPEED_EXAMPLE);
+    Ok(match kind {
+        "line" => MissionSetup::Line,
+        "sine" => MissionSetup::Sine,
+        "lemniscate" => MissionSetup::Lemniscate,
+        "circle" => {
+            let radius_m = any.required_number("radius_m", POSITION, "radius_m = 3.0")?;
+            // A tighter circle than its own width is a pirouette, which this drive cannot do.
+            if radius_m.abs() < robot.params.r {
+                let (node, path) = any.node("radius_m").expect("it was read");
+                let why = format!(
+                    "a circle must be at least as wide as the robot, {} m",
+                    robot.params.r
+                );
+                return Err(refused(node, &path, why));
+            }
+            MissionSetup::Circle {
+                radius_m,
+                speed_mps: speed()?,
+            }
+        }
+        "waypoints" => MissionSetup::Waypoints {
+            points_m: points(&any)?,
+            speed_mps: speed()?,
+        },
+        "roll" => MissionSetup::Roll {
+            speed_mps: any.required_number(
+                "speed_mps",
+                Range::within(0.0, v_max),
+                SPEED_EXAMPLE,
+            )?,
+            angles_deg: angles(&any, robot.limits.q_r_max.to_degrees())?,
+            hold_s: any.number_or("hold_s", LENGTH_OF_TIME, 10.0)?,
+        },
+        _ => MissionSetup::Hold,
+    })
+}
+
+fn points(mission: &Table<'_>) -> Read<Vec<[f64; 2]>> {
+    let mut points = Vec::new();
+    for (node, path) in mission.list("points_m")? {
+        let [(x, x_path), (y, y_path)] = list_of(node, &path)?
+            .try_into()
+            .map_err(|_| refused(node, &path, "a point is [x, y] in metres".to_owned()))?;
+        points.push([
+            number_of(x, &x_path, POSITION)?,
+            number_of(y, &y_path, POSITION)?,
+        ]);
+    }
+    if points.is_empty() {
+        return Err(mission.missing("points_m", "points_m = [[2.0, 0.0], [2.0, 3.0]]"));
+    }
+    Ok(points)
+}
+
+fn angles(mission: &Table<'_>, q_r_max_deg: f64) -> Read<Vec<f64>> {
+    let angles: Vec<f64> = mission
+        .list("angles_deg")?
+        .into_iter()
+        .map(|(node, path)| number_of(node, &path, Range::within(-q_r_max_deg, q_r_max_deg)))
+        .collect::<Read<_>>()?;
+    if angles.is_empty() {
+        return Err(mission.missing("angles_deg", "angles_deg = [10.0]"));
+    }
+    Ok(angles)
+}
+
+/// Every kind of mission with the keys it takes.
+const MISSIONS: &[(&str, &[&str])] = &[
+    ("hold", &[]),
+    ("line", &[]),
+    ("sine", &[]),
+    ("lemniscate", &[]),
+    ("circle", &["radius_m", "speed_mps"]),
+    ("waypoints", &["points_m", "speed_mps"]),
+    ("roll", &["speed_mps", "angles_deg", "hold_s"]),
+];
+
+const KEYS: &[&str] = &[
+    "id",
+    "robot",
+    "plant",
+    "start",
+    "clock_offset_s",
+    "clock_drift_ppm",
+    "roll_controller",
+    "disturbance",
+    "mission",
+];
