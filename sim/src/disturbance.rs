@@ -1,0 +1,115 @@
+//! What acts on a robot from outside: an unbalanced shell, pushes, a slope, patches of other floor.
+
+use serde::Deserialize;
+
+use sphere_protocol::robot::RobotParams;
+
+/// Everything that disturbs one robot. The default disturbs nothing.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct Disturbance {
+    /// Shell imbalance, A [N·m]: A cos φ_s on the rolling motion, A sin φ_s on the roll. Once a turn of the shell it pushes the robot
+    /// ahead, and a quarter turn later to the left.
+    pub imbalance: f64,
+    /// Torques for a while; those that overlap add up.
+    pub pushes: Vec<Push>,
+    /// Rise of the floor along world X and Y, tangents [1].
+    pub slope: [f64; 2],
+    /// Floor of other rolling resistance; where patches overlap the last one counts.
+    pub patches: Vec<Patch>,
+}
+
+/// A torque from outside, for a while.
+#[derive(Clone, Copy, Debug, PartialEq, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Push {
+    /// Torque on the roll, > 0 leans the robot left [N·m].
+    pub roll_nm: f64,
+    /// Torque on the rolling motion, > 0 drives the robot forward [N·m].
+    pub pitch_nm: f64,
+    /// When it begins, from the start of the simulation [s].
+    pub at_s: f64,
+    /// How long it lasts [s].
+    pub for_s: f64,
+}
+
+/// A rectangle of floor with its own rolling resistance, edges along the world's axes.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Patch {
+    /// Its corner of lowest X and Y [m].
+    pub min_m: [f64; 2],
+    /// Its corner of highest X and Y [m].
+    pub max_m: [f64; 2],
+    /// Rolling resistance coefficient on it [1].
+    pub c_rr: f64,
+}
+
+/// What acts on the plant over one step of the integrator.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surroundings {
+    /// Torque on the roll, row q_r [N·m].
+    pub roll: f64,
+    /// Torque on the rolling motion, row v times R [N·m].
+    pub pitch: f64,
+    /// Shell imbalance, A [N·m].
+    pub imbalance: f64,
+    /// The vertical, a unit vector on the floor's X, Y and normal.
+    pub up: [f64; 3],
+    /// Rolling resistance coefficient of the floor here [1].
+    pub c_rr: f64,
+}
+
+impl Disturbance {
+    /// What acts `at` seconds after the start on a robot at world (`x`, `y`) [m].
+    ///
+    /// Meant to be asked once a step: at 1 ms the edge of a patch is met to a millimetre, and a push begins and ends on a step.
+    pub fn surroundings(&self, params: &RobotParams, at: f64, x: f64, y: f64) -> Surroundings {
+        let mut around = Surroundings::level(params);
+        around.imbalance = self.imbalance;
+        for push in &self.pushes {
+            if at >= push.at_s && at < push.at_s + push.for_s {
+                around.roll += push.roll_nm;
+                around.pitch += push.pitch_nm;
+            }
+        }
+        let [rise_x, rise_y] = self.slope;
+        let length = (1.0 + rise_x * rise_x + rise_y * rise_y).sqrt();
+        around.up = [rise_x / length, rise_y / length, 1.0 / length];
+        if let Some(patch) = self.patches.iter().rev().find(|patch| patch.contains(x, y)) {
+            around.c_rr = patch.c_rr;
+        }
+        around
+    }
+}
+
+impl Patch {
+    /// Whether world (`x`, `y`) [m] lies on it, its edges included.
+    pub fn contains(&self, x: f64, y: f64) -> bool {
+        (self.min_m[0]..=self.max_m[0]).contains(&x) && (self.min_m[1]..=self.max_m[1]).contains(&y)
+    }
+}
+
+impl Surroundings {
+    /// Level floor of the robot's own rolling resistance, and nothing else.
+    pub fn level(params: &RobotParams) -> Self {
+        Self {
+            roll: 0.0,
+            pitch: 0.0,
+            imbalance: 0.0,
+            up: [0.0, 0.0, 1.0],
+            c_rr: params.c_rr,
+        }
+    }
+
+    /// Torques on the roll and on the rolling motion [N·m], with the shell at angle `phi_s` [rad].
+    pub fn torques(&self, phi_s: f64) -> (f64, f64) {
+        if self.imbalance == 0.0 {
+            return (self.roll, self.pitch);
+        }
+        let (sin, cos) = phi_s.sin_cos();
+        (
+            self.roll + self.imbalance * sin,
+            self.pitch + self.imbalance * cos,
+        )
+    }
+}
