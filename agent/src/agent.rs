@@ -22,7 +22,7 @@ use crate::board_clock::BoardClockMap;
 use crate::config::AgentConfig;
 use crate::control::DirectionController;
 use crate::control::hsmc::{Hsmc, SpeedShape};
-use crate::estimator::{Estimator, EstimatorConfig};
+use crate::estimator::Estimator;
 use crate::gains::GainsError;
 use crate::mode::{Check, ModeMachine, Reason, Transition};
 use crate::plan::{NoPlan, Playback, reference_state};
@@ -190,7 +190,7 @@ impl Agent {
     /// Gains that cannot be stable (E2-E4), with the numbers.
     pub fn new(now: Instant<AgentClock>, config: AgentConfig) -> Result<Self, GainsError> {
         let robot = &config.robot;
-        let estimator = Estimator::new(&robot.params, EstimatorConfig::starting_at(config.start));
+        let estimator = Estimator::new(&robot.params, config.estimator);
         let velocity = Hsmc::from_robot(robot)?;
         let direction = config.direction.build(robot)?;
         let due = Deadlines {
@@ -267,12 +267,17 @@ impl Agent {
                 BoardEvent::Sensors { measurement, .. } => {
                     self.board.clock.observe(now, measurement.stamp);
                     self.board.status = measurement.status;
-                    if self.estimator.on_measurement(&measurement) {
+                    self.estimator.on_measurement(&measurement);
+                    // A frame that the estimator refuses leaves its stamp where it was, and the silence counts on.
+                    if self.estimator.stamp() != self.board.last_stamp {
                         self.board.last_frame = Some(now);
-                        self.board.last_stamp = Some(measurement.stamp);
+                        self.board.last_stamp = self.estimator.stamp();
                     }
                 }
-                BoardEvent::Fix(fix) => self.estimator.on_fix(&fix),
+                BoardEvent::Fix(fix) => {
+                    // Refused fixes are in the estimator's counters.
+                    self.estimator.on_fix(&fix);
+                }
                 BoardEvent::Heartbeat(_) | BoardEvent::Torque(_) | BoardEvent::Other(_) => {}
             }
         }
@@ -516,7 +521,7 @@ impl Agent {
             Some(Check::SensorsFresh)
         } else if !self.estimator.converged() {
             Some(Check::EstimatorConverged)
-        } else if !(self.board.status.imu_ok && self.board.status.encoders_ok) {
+        } else if !self.sensors_healthy() {
             Some(Check::BoardHealthy)
         } else if self.estimator.position_sigma() > LOCALISED_SIGMA {
             Some(Check::Localised)
@@ -532,7 +537,7 @@ impl Agent {
         let finite = [state.x, state.y, state.heading, state.v, state.q_r, state.beta, state.alpha];
         if self.sensors_stale(now) {
             Some(Reason::SensorsLost)
-        } else if !(self.board.status.imu_ok && self.board.status.encoders_ok) {
+        } else if !self.sensors_healthy() {
             Some(Reason::SensorFailed)
         } else if !finite.iter().all(|value| value.is_finite()) {
             Some(Reason::EstimatorFailed)
@@ -541,6 +546,14 @@ impl Agent {
         } else {
             None
         }
+    }
+
+    /// By the board's own word and by what its values look like. The accelerometer corrects slowly: without it the robot can
+    /// still brake.
+    fn sensors_healthy(&self) -> bool {
+        let seen = self.estimator.sensor_health();
+        let said = self.board.status;
+        said.imu_ok && said.encoders_ok && seen.gyro && seen.encoders
     }
 
     fn sensors_stale(&self, now: Instant<AgentClock>) -> bool {

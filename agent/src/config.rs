@@ -3,6 +3,9 @@
 use sphere_protocol::robot::{Robot, RobotId};
 use sphere_protocol::time::Span;
 
+use crate::control::DirectionChoice;
+use crate::estimator::EstimatorConfig;
+
 /// Configuration of one agent.
 #[derive(Clone, Debug)]
 pub struct AgentConfig {
@@ -12,10 +15,10 @@ pub struct AgentConfig {
     pub robot: Robot,
     /// Drawn anew at each start; plans for another life are refused.
     pub boot_id: u64,
-    /// Where the robot stands at its start: x, y [m], heading [rad], world frame.
-    pub start: [f64; 3],
+    /// Where the robot stands at its start, and how good its sensors are.
+    pub estimator: EstimatorConfig,
     /// Which direction controller.
-    pub direction: crate::control::DirectionChoice,
+    pub direction: DirectionChoice,
     /// Rates and time limits.
     pub timing: Timing,
 }

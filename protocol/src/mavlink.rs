@@ -50,6 +50,17 @@ pub struct Address {
     pub component: u8,
 }
 
+/// The agent on its motor link: system 1, component MAV_COMP_ID_ONBOARD_COMPUTER.
+pub const AGENT: Address = Address {
+    system: 1,
+    component: 191,
+};
+/// The motor board on the same link: system 1, component MAV_COMP_ID_AUTOPILOT1.
+pub const BOARD: Address = Address {
+    system: 1,
+    component: 1,
+};
+
 /// Torques for both motors and for how long they hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TorqueCommand {
