@@ -157,3 +157,63 @@ impl Actuator {
         torque.clamp(-self.torque_max, self.torque_max)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sphere_protocol::robot::Robot;
+
+    const STEP: Span = Span::from_millis(1);
+
+    fn motors(change: impl FnOnce(&mut RobotParams)) -> Actuator {
+        let mut params = Robot::embedded("liu")
+            .expect("comes with the project")
+            .params;
+        change(&mut params);
+        Actuator::new(&params, STEP)
+    }
+
+    #[test]
+    fn command_reaches_the_joint_after_delay_and_lag() {
+        let mut motors = motors(|_| {});
+        let command = Torque {
+            pitch: 10.0,
+            roll: -4.0,
+        };
+        for step in 0..20 {
+            assert_eq!(motors.step(command), Torque::default(), "step {step}");
+        }
+        for _ in 0..5 {
+            motors.step(command);
+        }
+        // One time constant of 5 ms after the delay of 20 ms: 1 − 1/e of the way, exactly.
+        let share = 1.0 - (-1.0_f64).exp();
+        assert!((motors.torque().pitch - 10.0 * share).abs() < 1e-12);
+        assert!((motors.torque().roll + 4.0 * share).abs() < 1e-12);
+    }
+
+    #[test]
+    fn torque_never_exceeds_the_limit() {
+        let mut motors = motors(|_| {});
+        for _ in 0..1000 {
+            let torque = motors.step(Torque {
+                pitch: 1e6,
+                roll: -21.0,
+            });
+            assert!(torque.pitch <= 20.0 && torque.roll >= -20.0);
+        }
+        assert!((motors.torque().pitch - 20.0).abs() < 1e-9);
+        assert!((motors.torque().roll + 20.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn motors_without_lag_and_delay_follow_at_once() {
+        let mut motors = motors(|p| (p.motor_lag, p.motor_delay) = (0.0, 0.0));
+        let command = Torque {
+            pitch: 3.0,
+            roll: -7.0,
+        };
+        assert_eq!(motors.step(command), command);
+        assert_eq!(motors.step(Torque::default()), Torque::default());
+    }
+}

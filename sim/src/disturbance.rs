@@ -113,3 +113,73 @@ impl Surroundings {
         )
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sphere_protocol::robot::Robot;
+
+    fn liu() -> RobotParams {
+        Robot::embedded("liu")
+            .expect("comes with the project")
+            .params
+    }
+
+    #[test]
+    fn nothing_disturbs_by_default() {
+        let undisturbed = Disturbance::default().surroundings(&liu(), 3.0, 1.0, 2.0);
+        assert_eq!(undisturbed, Surroundings::level(&liu()));
+    }
+
+    #[test]
+    fn pushes_last_as_long_as_they_say_and_add_up() {
+        let push = |roll_nm, pitch_nm, at_s, for_s| Push {
+            roll_nm,
+            pitch_nm,
+            at_s,
+            for_s,
+        };
+        let disturbance = Disturbance {
+            pushes: vec![push(5.0, 0.0, 1.0, 0.5), push(1.0, -2.0, 1.25, 0.5)],
+            ..Disturbance::default()
+        };
+        for (at, expected) in [
+            (0.999, (0.0, 0.0)),
+            (1.0, (5.0, 0.0)),
+            (1.25, (6.0, -2.0)),
+            (1.5, (1.0, -2.0)),
+            (1.75, (0.0, 0.0)),
+        ] {
+            let around = disturbance.surroundings(&liu(), at, 0.0, 0.0);
+            assert_eq!(around.torques(0.3), expected, "at {at} s");
+        }
+    }
+
+    #[test]
+    fn last_patch_under_the_robot_sets_the_rolling_resistance() {
+        let patch = |min_m, max_m, c_rr| Patch { min_m, max_m, c_rr };
+        let disturbance = Disturbance {
+            patches: vec![
+                patch([0.0, 0.0], [2.0, 2.0], 0.03),
+                patch([1.0, 1.0], [3.0, 3.0], 0.05),
+            ],
+            ..Disturbance::default()
+        };
+        let c_rr = |x, y| disturbance.surroundings(&liu(), 0.0, x, y).c_rr;
+        assert_eq!(c_rr(-0.1, 1.0), liu().c_rr);
+        assert_eq!(c_rr(0.5, 0.5), 0.03);
+        assert_eq!(c_rr(1.5, 1.5), 0.05);
+        assert_eq!(c_rr(f64::NAN, 1.5), liu().c_rr);
+    }
+
+    #[test]
+    fn vertical_leans_uphill_by_the_slope() {
+        let disturbance = Disturbance {
+            slope: [0.03, -0.04],
+            ..Disturbance::default()
+        };
+        let up = disturbance.surroundings(&liu(), 0.0, 0.0, 0.0).up;
+        assert!((up.iter().map(|x| x * x).sum::<f64>() - 1.0).abs() < 1e-15);
+        assert!((up[0] / up[2] - 0.03).abs() < 1e-15 && (up[1] / up[2] + 0.04).abs() < 1e-15);
+    }
+}

@@ -216,8 +216,8 @@ impl Plant {
 
     /// Q on the rows (α, v, β, q_r) [N·m, N, N·m, N·m].
     ///
-    /// A motor works on the relative rate of what it joins, α̇ + v/(R cos q_r) and β̇ + q̇_r, so its torque less its friction, P or
-    /// S, enters two rows. A torque on the rolling motion is divided by R on row v.
+    /// A motor works on the relative rate of what it joins, α̇ + v/(R cos q_r) and β̇ + q̇_r, so its torque less its friction enters
+    /// two rows. A torque on the rolling motion is divided by R on row v.
     fn generalised_forces(
         &self,
         state: &PlantState,

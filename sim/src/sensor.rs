@@ -209,3 +209,145 @@ fn normal<const N: usize>(random: &mut ChaCha8Rng, sigma: f64) -> [f64; N] {
         sigma * draw
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use sphere_protocol::state::RobotState;
+
+    const RADIUS: f64 = 0.35;
+    const REST: TrueImu = TrueImu {
+        gyro: [0.0; 3],
+        specific_force: [0.0, 0.0, 9.81],
+    };
+
+    /// Frames of a robot whose roll motor turns at 0.7 rad/s and whose pitch motor at −1.3 rad/s.
+    fn frames(noise: f64, seed: u64, count: usize) -> Vec<(Measurement, PlantState)> {
+        let mut sensors = Sensors::new(noise, ChaCha8Rng::seed_from_u64(seed));
+        let mut stamp = Instant::from_nanos(0);
+        let mut frames = Vec::new();
+        for i in 0..count {
+            let t = 0.005 * i as f64;
+            let robot = RobotState {
+                beta: 0.7 * t,
+                beta_rate: 0.7,
+                alpha: -1.3 * t,
+                alpha_rate: -1.3,
+                ..RobotState::default()
+            };
+            let state = PlantState { robot, phi_s: 0.0 };
+            let status = BoardStatus::default();
+            frames.push((sensors.sample(stamp, &state, RADIUS, &REST, status), state));
+            stamp += Sensors::INTERVAL;
+        }
+        frames
+    }
+
+    fn deviation(values: &[f64]) -> f64 {
+        (values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64).sqrt()
+    }
+
+    #[test]
+    fn gyro_and_accelerometer_err_as_much_as_documented() {
+        // First frames of 4000 robots: bias and white noise. 3 axes each: 0.65 % standard error of a deviation.
+        let first: Vec<_> = (0..4000).map(|seed| frames(1.0, seed, 1)[0].0).collect();
+        let gyro: Vec<_> = first.iter().flat_map(|m| m.gyro).collect();
+        let expected = (0.3_f64.hypot(0.2)).to_radians();
+        assert!((deviation(&gyro) / expected - 1.0).abs() < 0.03);
+        let accel: Vec<_> = first
+            .iter()
+            .flat_map(|m| [m.accel[0], m.accel[1], m.accel[2] - 9.81])
+            .collect();
+        assert!((deviation(&accel) / 0.05_f64.hypot(0.03) - 1.0).abs() < 0.03);
+    }
+
+    #[test]
+    fn gyro_bias_walks() {
+        // Means of the first and last 1000 of 20 000 frames are 95 s apart: the walk and what averaging leaves of the white noise.
+        let mut drift = Vec::new();
+        for seed in 0..60 {
+            let frames = frames(1.0, seed, 20_000);
+            for axis in 0..3 {
+                let mean = |part: &[(Measurement, PlantState)]| {
+                    part.iter().map(|(m, _)| m.gyro[axis]).sum::<f64>() / part.len() as f64
+                };
+                drift.push(mean(&frames[19_000..]) - mean(&frames[..1000]));
+            }
+        }
+        let (walk, white) = (0.003 * 95.0_f64.sqrt(), 0.3 * (2.0_f64 / 1000.0).sqrt());
+        let expected = walk.hypot(white).to_radians();
+        // 180 values: 5 % standard error, so ± 20 % is four of them; without a walk the ratio would be 0.42.
+        let ratio = deviation(&drift) / expected;
+        assert!((0.8..1.2).contains(&ratio), "{ratio}");
+    }
+
+    #[test]
+    fn noise_factor_scales_every_error() {
+        let status = BoardStatus::default();
+        let still = PlantState::default();
+        let at_rest = TrueImu {
+            specific_force: [0.0; 3],
+            ..REST
+        };
+        let mut sensors = [1.0, 2.0].map(|n| Sensors::new(n, ChaCha8Rng::seed_from_u64(3)));
+        for i in 0..100 {
+            let stamp = Instant::from_nanos(i * 5_000_000);
+            let [one, two] = sensors
+                .each_mut()
+                .map(|s| s.sample(stamp, &still, RADIUS, &at_rest, status));
+            // Twice is exact in binary.
+            assert_eq!(one.gyro.map(|x| 2.0 * x), two.gyro);
+            assert_eq!(one.accel.map(|x| 2.0 * x), two.accel);
+        }
+    }
+
+    #[test]
+    fn encoders_are_quantised_and_their_rates_are_difference_quotients() {
+        for (m, state) in frames(1.0, 5, 1000) {
+            for (angle, truth) in [(m.theta_r, state.theta_r()), (m.theta_p, state.theta_p())] {
+                let steps = angle / ENCODER_STEP;
+                assert!((steps - steps.round()).abs() < 1e-9, "{steps} steps");
+                assert!((angle - truth).abs() <= 0.5 * ENCODER_STEP * (1.0 + 1e-9));
+            }
+            for (rate, truth) in [(m.theta_r_rate, 0.7), (m.theta_p_rate, -1.3)] {
+                let steps = rate * 0.005 / ENCODER_STEP;
+                assert!(
+                    (steps - steps.round()).abs() < 1e-6,
+                    "{steps} steps in 5 ms"
+                );
+                assert!((rate - truth).abs() <= ENCODER_STEP / 0.005);
+            }
+        }
+    }
+
+    #[test]
+    fn ideal_encoders_are_exact() {
+        for (m, state) in frames(0.0, 5, 100) {
+            assert_eq!((m.theta_r, m.theta_p), (state.theta_r(), state.theta_p()));
+            // Differences of angles below 1 over 5 ms.
+            assert!((m.theta_r_rate - 0.7).abs() < 1e-12 && (m.theta_p_rate + 1.3).abs() < 1e-12);
+            assert_eq!((m.gyro, m.accel), (REST.gyro, REST.specific_force));
+        }
+    }
+
+    #[test]
+    fn position_fix_arrives_late_and_says_when_it_was_true() {
+        let mut source = PositionSource::new(0.02, ChaCha8Rng::seed_from_u64(1));
+        let (mut state, mut errors) = (PlantState::default(), Vec::new());
+        for i in 0..5000_i64 {
+            state.robot.x = i as f64;
+            let stamp = Instant::from_nanos(i * 100_000_000);
+            source.sample(stamp, &state);
+            let arrival = stamp + Span::from_millis(50);
+            assert_eq!(source.next_arrival(), Some(arrival));
+            assert_eq!(source.poll(arrival - Span::from_nanos(1)), None);
+            let fix = source.poll(arrival).expect("it has arrived");
+            assert_eq!((fix.stamp, fix.sigma), (stamp, 0.02));
+            errors.extend([fix.x - state.robot.x, fix.y]);
+            assert_eq!(source.poll(arrival), None);
+        }
+        // 10 000 draws: 0.7 % standard error.
+        assert!((deviation(&errors) / 0.02 - 1.0).abs() < 0.03);
+    }
+}
