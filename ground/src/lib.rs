@@ -1,1 +1,4 @@
-//! stub
+//! The ground station.
+
+pub mod jet;
+pub mod trajectory;
