@@ -76,6 +76,17 @@ pub struct Curvature<const NX: usize> {
     pub uu: SMatrix<f64, 2, 2>,
 }
 
+impl<const NX: usize> Curvature<NX> {
+    /// No curvature: what a Gauss-Newton step assumes.
+    pub fn zeros() -> Self {
+        Self {
+            xx: SMatrix::zeros(),
+            ux: SMatrix::zeros(),
+            uu: SMatrix::zeros(),
+        }
+    }
+}
+
 impl Discretisation<3> {
     /// Eq (2) with speed and roll held over a knot of `period` [s], for a sphere of `radius` [m]: exact.
     pub fn arc(period: f64, radius: f64) -> Self {
@@ -135,10 +146,9 @@ impl<const NX: usize> Discretisation<NX> {
 
     /// State at the end of a knot that begins at `x` and holds `u`, F(x, u).
     pub fn step(&self, x: &SVector<f64, NX>, u: &Vector2<f64>) -> SVector<f64, NX> {
-        let m = self.means(x, u);
-        let g = m.v * self.period * m.q.tan() / self.radius;
-        let e = Complex::polar(x[2]);
-        let way = e.times(m.way).times(chord(g));
+        let (v, q, plan) = self.means(x, u);
+        let g = v * self.period * q.tan() / self.radius;
+        let way = plan.times(Complex::polar(x[2])).times(chord(g));
         let mut next = *x;
         next[0] += way.re;
         next[1] += way.im;
@@ -149,38 +159,7 @@ impl<const NX: usize> Discretisation<NX> {
 
     /// [`Discretisation::step`] with its Jacobians.
     pub fn linearise(&self, x: &SVector<f64, NX>, u: &Vector2<f64>) -> Linearised<NX> {
-        let means = self.means(x, u);
-        let turn = self.turn(&means);
-        let pose = self.pose_jacobian(x[2], &means, &turn);
-        let mut next = *x;
-        next[0] += pose.way.re;
-        next[1] += pose.way.im;
-        next[2] += turn.g;
-        self.follow(&mut next, x, u);
-
-        let mut a = SMatrix::identity();
-        let mut b = SMatrix::zeros();
-        // Turning the heading turns the way: ∂/∂φ = i · way.
-        a[(0, 2)] = -pose.way.im;
-        a[(1, 2)] = pose.way.re;
-        let (v, q, slide) = (pose.by_v, pose.by_q, pose.by_slide);
-        if NX == 3 {
-            (b[(0, 0)], b[(1, 0)], b[(2, 0)]) = (v.re, v.im, turn.g_v);
-            (b[(0, 1)], b[(1, 1)], b[(2, 1)]) = (q.re, q.im, turn.g_q);
-        } else {
-            let (m, n, c) = (self.mean, 1.0 - self.mean, self.slide());
-            (a[(0, 3)], a[(1, 3)], a[(2, 3)]) = (m * v.re, m * v.im, m * turn.g_v);
-            (b[(0, 0)], b[(1, 0)], b[(2, 0)]) = (n * v.re, n * v.im, n * turn.g_v);
-            a[(0, 4)] = m * q.re - c * slide.re;
-            a[(1, 4)] = m * q.im - c * slide.im;
-            a[(2, 4)] = m * turn.g_q;
-            b[(0, 1)] = n * q.re + c * slide.re;
-            b[(1, 1)] = n * q.im + c * slide.im;
-            b[(2, 1)] = n * turn.g_q;
-            (a[(3, 3)], a[(4, 4)]) = (self.left, self.left);
-            (b[(3, 0)], b[(4, 1)]) = (1.0 - self.left, 1.0 - self.left);
-        }
-        Linearised { next, a, b }
+        self.linearised(x, u, &self.knot(x, u))
     }
 
     /// Second derivatives of λᵀF(x, u) for the costate `lambda` of the next state.
@@ -190,29 +169,86 @@ impl<const NX: usize> Discretisation<NX> {
         u: &Vector2<f64>,
         lambda: &SVector<f64, NX>,
     ) -> Curvature<NX> {
-        let means = self.means(x, u);
-        let turn = self.turn(&means);
-        let pose = self.pose_jacobian(x[2], &means, &turn);
-        let dot = |z: Complex| lambda[0] * z.re + lambda[1] * z.im;
-        let e = Complex::polar(x[2]);
-        let (first, second) = (chord_first(turn.g), chord_second(turn.g));
-        // Along v: way/v̄ is Δ; along the slide it is iR. Each derivative of M brings one of g.
-        let forward = dot(e.times(first)) * self.period;
-        let way_first = dot(e.times(means.way).times(first));
-        let way_second = dot(e.times(means.way).times(second));
-        let side_first = dot(e.times(Complex::new(0.0, self.radius)).times(first));
+        self.curved(&self.knot(x, u), lambda)
+    }
 
-        let phi_phi = -dot(pose.way);
-        let phi_v = dot(pose.by_v.turned());
-        let phi_q = dot(pose.by_q.turned());
-        let phi_slide = dot(pose.by_slide.turned());
-        let v_v = 2.0 * forward * turn.g_v + way_second * turn.g_v * turn.g_v;
-        let v_q = forward * turn.g_q
-            + way_second * turn.g_v * turn.g_q
-            + (way_first + lambda[2]) * turn.g_vq;
-        let q_q = way_second * turn.g_q * turn.g_q + (way_first + lambda[2]) * turn.g_qq;
-        let v_slide = side_first * turn.g_v;
-        let q_slide = side_first * turn.g_q;
+    /// [`Discretisation::linearise`] and [`Discretisation::curvature`] in one.
+    pub fn expand(
+        &self,
+        x: &SVector<f64, NX>,
+        u: &Vector2<f64>,
+        lambda: &SVector<f64, NX>,
+    ) -> (Linearised<NX>, Curvature<NX>) {
+        let knot = self.knot(x, u);
+        (self.linearised(x, u, &knot), self.curved(&knot, lambda))
+    }
+
+    fn linearised(&self, x: &SVector<f64, NX>, u: &Vector2<f64>, knot: &Knot) -> Linearised<NX> {
+        let Knot {
+            way,
+            by_v,
+            by_q,
+            by_slide,
+            g,
+            g_v,
+            g_q,
+            ..
+        } = *knot;
+        let mut next = *x;
+        next[0] += way.re;
+        next[1] += way.im;
+        next[2] += g;
+        self.follow(&mut next, x, u);
+
+        let mut a = SMatrix::identity();
+        let mut b = SMatrix::zeros();
+        // Turning the heading turns the way: ∂/∂φ = i · way.
+        a[(0, 2)] = -way.im;
+        a[(1, 2)] = way.re;
+        if NX == 3 {
+            (b[(0, 0)], b[(1, 0)], b[(2, 0)]) = (by_v.re, by_v.im, g_v);
+            (b[(0, 1)], b[(1, 1)], b[(2, 1)]) = (by_q.re, by_q.im, g_q);
+        } else {
+            let (m, n, c) = (self.mean, 1.0 - self.mean, self.slide());
+            (a[(0, 3)], a[(1, 3)], a[(2, 3)]) = (m * by_v.re, m * by_v.im, m * g_v);
+            (b[(0, 0)], b[(1, 0)], b[(2, 0)]) = (n * by_v.re, n * by_v.im, n * g_v);
+            a[(0, 4)] = m * by_q.re - c * by_slide.re;
+            a[(1, 4)] = m * by_q.im - c * by_slide.im;
+            a[(2, 4)] = m * g_q;
+            b[(0, 1)] = n * by_q.re + c * by_slide.re;
+            b[(1, 1)] = n * by_q.im + c * by_slide.im;
+            b[(2, 1)] = n * g_q;
+            (a[(3, 3)], a[(4, 4)]) = (self.left, self.left);
+            (b[(3, 0)], b[(4, 1)]) = (1.0 - self.left, 1.0 - self.left);
+        }
+        Linearised { next, a, b }
+    }
+
+    fn curved(&self, knot: &Knot, lambda: &SVector<f64, NX>) -> Curvature<NX> {
+        let Knot {
+            g_v,
+            g_q,
+            g_vq,
+            g_qq,
+            ..
+        } = *knot;
+        let dot = |z: Complex| lambda[0] * z.re + lambda[1] * z.im;
+        // exp(iφ) M′ along v (times Δ), along the way, and along the slide (times iR); exp(iφ) M″ along the way.
+        let turned_first = knot.heading.times(chord_first(knot.g));
+        let forward_first = dot(turned_first) * self.period;
+        let way_first = dot(knot.plan.times(turned_first)) + lambda[2];
+        let slide_first = dot(turned_first.turned()) * self.radius;
+        let way_second = dot(knot.plan.times(knot.heading).times(chord_second(knot.g)));
+
+        let phi_phi = -dot(knot.way);
+        let phi_v = dot(knot.by_v.turned());
+        let phi_q = dot(knot.by_q.turned());
+        let phi_slide = dot(knot.by_slide.turned());
+        let v_v = 2.0 * forward_first * g_v + way_second * g_v * g_v;
+        let v_q = forward_first * g_q + way_second * g_v * g_q + way_first * g_vq;
+        let q_q = way_second * g_q * g_q + way_first * g_qq;
+        let v_slide = slide_first * g_v;
+        let q_slide = slide_first * g_q;
 
         let mut xx = SMatrix::zeros();
         let mut ux = SMatrix::zeros();
@@ -253,7 +289,8 @@ impl<const NX: usize> Discretisation<NX> {
         if self.sideways { 1.0 - self.left } else { 0.0 }
     }
 
-    fn means(&self, x: &SVector<f64, NX>, u: &Vector2<f64>) -> Means {
+    /// Means of speed and roll over a knot [m/s, rad], and the way in the frame of the heading, d + i e [m].
+    fn means(&self, x: &SVector<f64, NX>, u: &Vector2<f64>) -> (f64, f64, Complex) {
         let (v, q, slide) = if NX == 3 {
             (u[0], u[1], 0.0)
         } else {
@@ -263,38 +300,33 @@ impl<const NX: usize> Discretisation<NX> {
                 (u[1] - x[4]) * self.slide(),
             )
         };
-        Means {
-            v,
-            q,
-            way: Complex::new(v * self.period, self.radius * slide),
-        }
+        (v, q, Complex::new(v * self.period, self.radius * slide))
     }
 
-    fn turn(&self, means: &Means) -> Turn {
+    fn knot(&self, x: &SVector<f64, NX>, u: &Vector2<f64>) -> Knot {
+        let (v, q, plan) = self.means(x, u);
         let k = self.period / self.radius;
-        let tan = means.q.tan();
+        let tan = q.tan();
         let sec2 = 1.0 + tan * tan;
-        Turn {
-            g: means.v * k * tan,
-            g_v: k * tan,
-            g_q: means.v * k * sec2,
-            g_vq: k * sec2,
-            g_qq: 2.0 * means.v * k * tan * sec2,
-        }
-    }
-
-    fn pose_jacobian(&self, heading: f64, means: &Means, turn: &Turn) -> PoseJacobian {
-        let e = Complex::polar(heading);
-        let m = e.times(chord(turn.g));
-        let along = e.times(means.way).times(chord_first(turn.g));
-        PoseJacobian {
-            way: means.way.times(m),
+        let (g, g_v, g_q) = (v * k * tan, k * tan, v * k * sec2);
+        let heading = Complex::polar(x[2]);
+        let m = heading.times(chord(g));
+        let along = plan.times(heading).times(chord_first(g));
+        Knot {
+            heading,
+            plan,
+            way: plan.times(m),
             by_v: Complex::new(
-                self.period * m.re + along.re * turn.g_v,
-                self.period * m.im + along.im * turn.g_v,
+                self.period * m.re + along.re * g_v,
+                self.period * m.im + along.im * g_v,
             ),
-            by_q: Complex::new(along.re * turn.g_q, along.im * turn.g_q),
+            by_q: Complex::new(along.re * g_q, along.im * g_q),
             by_slide: Complex::new(-self.radius * m.im, self.radius * m.re),
+            g,
+            g_v,
+            g_q,
+            g_vq: k * sec2,
+            g_qq: 2.0 * v * k * tan * sec2,
         }
     }
 
@@ -307,31 +339,26 @@ impl<const NX: usize> Discretisation<NX> {
     }
 }
 
-/// What the pose feels of state and input over a knot.
-struct Means {
-    /// Mean speed v̄ [m/s].
-    v: f64,
-    /// Mean roll q̄ [rad].
-    q: f64,
-    /// d + i e: the way in the frame of the heading [m].
+/// What one knot does to the pose, with derivatives by v̄, q̄ and Δq.
+struct Knot {
+    /// exp(iφ).
+    heading: Complex,
+    /// Way in the frame of the heading, d + i e [m].
+    plan: Complex,
+    /// Way in the world, (d + i e) exp(iφ) M(g) [m].
     way: Complex,
-}
-
-/// Change of the heading g(v̄, q̄) [rad] and its derivatives.
-struct Turn {
+    /// ∂way/∂v̄.
+    by_v: Complex,
+    /// ∂way/∂q̄.
+    by_q: Complex,
+    /// ∂way/∂Δq.
+    by_slide: Complex,
+    /// Change of the heading g(v̄, q̄) [rad], and its derivatives.
     g: f64,
     g_v: f64,
     g_q: f64,
     g_vq: f64,
     g_qq: f64,
-}
-
-/// Way of the pose over a knot [m] and its derivatives by v̄, q̄ and Δq.
-struct PoseJacobian {
-    way: Complex,
-    by_v: Complex,
-    by_q: Complex,
-    by_slide: Complex,
 }
 
 /// A vector of the plane as a complex number: turning is multiplication.

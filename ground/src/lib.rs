@@ -4,3 +4,4 @@
 
 pub mod kinematics;
 pub mod mpc;
+pub mod plan_command;

@@ -271,6 +271,13 @@ impl<const NX: usize> Problem<NX> {
     }
 }
 
+impl HalfPlane {
+    /// nᵀ(X, Y) − b [m]: below 0 on the forbidden side.
+    pub fn gap(&self, x: f64, y: f64) -> f64 {
+        self.normal[0] * x + self.normal[1] * y - self.offset
+    }
+}
+
 /// Most half-planes of one knot: six robots and two walls.
 pub const HALF_PLANES_MAX: usize = 8;
 
