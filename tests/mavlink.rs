@@ -102,7 +102,7 @@ fn message_without_a_type_of_ours_comes_out_as_it_is() {
 fn every_sensor_field_arrives_in_its_place() {
     type Change = fn(&mut Measurement);
     let changes: [Change; 15] = [
-        |m| m.stamp = m.stamp + Span::from_millis(5),
+        |m| m.stamp += Span::from_millis(5),
         |m| m.gyro[0] += 1.0,
         |m| m.gyro[1] += 1.0,
         |m| m.gyro[2] += 1.0,

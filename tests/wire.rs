@@ -135,7 +135,7 @@ fn every_mode_order_and_source_round_trips() {
 #[test]
 fn positions_are_exact_and_the_rest_is_rounded_to_f32() {
     let mut sent = telemetry();
-    sent.state.x = 1234.567_890_123_4;
+    sent.state.x = 1_234.567_890_123_4;
     sent.state.heading = -987.654_321_098_7;
     sent.state.v = 0.1;
     let got: Telemetry = decode(&bytes(&sent)).expect("valid");
