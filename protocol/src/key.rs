@@ -195,3 +195,89 @@ const BEACON: &str = "beacon";
 
 /// Prefix, robot id, the longest direction with its two slashes, topic.
 const KEY_MAX: usize = PREFIX.len() + 32 + "/down/".len() + TOPIC_MAX;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::message::{Beacon, Command, SetpointPlan, Status, Telemetry};
+
+    fn robot(id: &str) -> RobotId {
+        id.parse().expect("a valid id")
+    }
+
+    #[test]
+    fn every_message_has_its_key_and_back() {
+        let r1 = robot("r1");
+        let keys = [
+            (Key::of::<Telemetry>(&r1), "fleet/v1/r1/up/telemetry"),
+            (Key::of::<Status>(&r1), "fleet/v1/r1/up/status"),
+            (Key::of::<SetpointPlan>(&r1), "fleet/v1/r1/down/plan"),
+            (Key::of::<Command>(&r1), "fleet/v1/r1/cmd/command"),
+            (Key::of::<Beacon>(&r1), "fleet/v1/r1/beacon"),
+        ];
+        for (key, text) in keys {
+            assert_eq!(key.text().as_str(), text);
+            assert_eq!(Key::parse(text), Ok(key));
+        }
+    }
+
+    #[test]
+    fn longest_key_fits() {
+        let (id, topic) = ("r".repeat(32), "t".repeat(TOPIC_MAX));
+        let key = Key::new(&robot(&id), Direction::Down, &topic).expect("32 characters each");
+        assert_eq!(key.text().len(), KEY_MAX);
+        assert_eq!(
+            Key::parse(&key.text()).map(|key| key.text()),
+            Ok(key.text())
+        );
+    }
+
+    #[test]
+    fn robots_named_like_chunks_are_no_trouble() {
+        for name in ["beacon", "up", "down", "cmd", "fleet", "v1", "."] {
+            let key = Key::of::<Beacon>(&robot(name));
+            assert_eq!(
+                Key::parse(&key.text()).map(|key| key.robot()),
+                Ok(robot(name))
+            );
+        }
+    }
+
+    #[test]
+    fn other_texts_are_refused_by_name() {
+        let refused = [
+            ("", "does not begin with"),
+            ("fleet/v2/r1/up/telemetry", "does not begin with"),
+            ("/fleet/v1/r1/beacon", "does not begin with"),
+            ("fleet/v1/", "is none of"),
+            ("fleet/v1/r1", "is none of"),
+            ("fleet/v1/r1/up", "is none of"),
+            ("fleet/v1/r1/sideways/telemetry", "is none of"),
+            ("fleet/v1/r1/up/telemetry/more", "is none of"),
+            ("fleet/v1/r1/beacon/more", "is none of"),
+            ("fleet/v1//beacon", "must not be empty"),
+            ("fleet/v1/*/beacon", "`*`"),
+            ("fleet/v1/r$*/up/telemetry", "`$`"),
+            ("fleet/v1/r1/up/**", "topic `**`"),
+            ("fleet/v1/r1/up/", "topic ``"),
+        ];
+        for (key, part) in refused {
+            let error = Key::parse(key).expect_err(key).to_string();
+            assert!(error.contains(part), "`{key}`: {error}");
+        }
+        let other = Key::new(&robot("r1"), Direction::Beacon, "position");
+        assert_eq!(other, Err(KeyError::Topic("position".to_owned())));
+    }
+
+    #[test]
+    fn selectors_name_one_robot_and_one_direction() {
+        let r1 = robot("r1");
+        assert_eq!(every(&r1, Direction::Up).as_str(), "fleet/v1/r1/up/**");
+        assert_eq!(every(&r1, Direction::Down).as_str(), "fleet/v1/r1/down/**");
+        assert_eq!(
+            every(&r1, Direction::Command).as_str(),
+            "fleet/v1/r1/cmd/**"
+        );
+        assert_eq!(every(&r1, Direction::Beacon).as_str(), "fleet/v1/r1/beacon");
+    }
+}

@@ -31,7 +31,7 @@ use thiserror::Error;
 pub use self::body::Body;
 use crate::message::{DropReason, Message, SchemaVersion};
 
-/// Longest message that is read or written [bytes]; the longest that we write, a plan of 64 knots with gains, takes 4474.
+/// Longest message that is read or written [bytes]; the longest that we write, a plan of 64 knots with gains, takes 4.5 kB.
 pub const MESSAGE_MAX: usize = 8192;
 
 /// Room for any message.
