@@ -110,6 +110,8 @@ fn golden_htsmc() {
     htsmc_cases("htsmc", |reference| Disturbance {
         torque: number(reference, "w_hat_N_m"),
         rate: number(reference, "w_hat_dot_N_m_per_s"),
+        // The vectors were made without.
+        accel: 0.0,
     });
 }
 

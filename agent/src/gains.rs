@@ -6,14 +6,18 @@
 //! exactly: P > Q and λ₂ > λ₁, where P = (B/A)(d − c), Q = c − a, λᵢ = aᵢ + cᵢ |eᵢ|^(γ−1). A set that violates a condition is refused
 //! with the numbers; [`HtsmcGains::conditions`] and [`HsmcGains::conditions`] give the whole table.
 
-use core::fmt;
+mod condition;
 
 use sphere_protocol::quantity::{ANGLE, Field, ONE, QuantityError, Range, read_section};
 use sphere_protocol::robot::Robot;
 use thiserror::Error;
 
+pub use condition::{Condition, Relation};
+
+use condition::{integral_max, ratio_lower, ratio_upper};
+
 use crate::control::sliding::sig_slope_max;
-use crate::model::{NominalModel, PlanarInertia};
+use crate::model::NominalModel;
 
 /// Gains of the direction controller, section `[htsmc]`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -71,42 +75,6 @@ pub struct HsmcGains {
     pub observer: f64,
     /// o, bandwidth of its constant and shell-frequency parts [1/s]; 0 switches it off.
     pub oscillator: f64,
-}
-
-/// How the value of a [`Condition`] must compare with its bound.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Relation {
-    /// value < bound.
-    Below,
-    /// value > bound.
-    Above,
-    /// value ≥ bound.
-    AtLeast,
-}
-
-/// One condition on a set of gains, with the numbers of this robot.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Condition {
-    /// Its short name, `E2`.
-    pub name: &'static str,
-    /// What it says and what happens otherwise, a sentence.
-    pub says: &'static str,
-    /// The left side as a formula.
-    pub value_of: &'static str,
-    /// Its value, in `unit`.
-    pub value: f64,
-    /// How they must compare.
-    pub relation: Relation,
-    /// The right side as a formula.
-    pub bound_of: &'static str,
-    /// Its value, in `unit`; may be infinite.
-    pub bound: f64,
-    /// Unit of value, bound and margin.
-    pub unit: &'static str,
-    /// Distance to the bound, ≥ 0 on the good side.
-    pub margin: f64,
-    /// Whether it holds; NaN does not.
-    pub holds: bool,
 }
 
 /// Gains that this robot cannot be controlled with.
@@ -281,68 +249,6 @@ impl HsmcGains {
     };
 }
 
-impl Condition {
-    /// Compares `value` with `bound`, each with the formula that gave it.
-    pub fn new(
-        name: &'static str,
-        says: &'static str,
-        (value_of, value): (&'static str, f64),
-        relation: Relation,
-        (bound_of, bound): (&'static str, f64),
-        unit: &'static str,
-    ) -> Self {
-        let margin = match relation {
-            Relation::Below => bound - value,
-            Relation::Above | Relation::AtLeast => value - bound,
-        };
-        let holds = match relation {
-            Relation::Below => value < bound,
-            Relation::Above => value > bound,
-            Relation::AtLeast => value >= bound,
-        };
-        Self {
-            name,
-            says,
-            value_of,
-            value,
-            relation,
-            bound_of,
-            bound,
-            unit,
-            margin,
-            holds,
-        }
-    }
-}
-
-impl fmt::Display for Relation {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Below => "below",
-            Self::Above => "above",
-            Self::AtLeast => "at least",
-        })
-    }
-}
-
-impl fmt::Display for Condition {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "{}: {} = {:.4} {} {} {} = {:.4} [{}] ({})",
-            self.name,
-            self.value_of,
-            self.value,
-            if self.holds { "is" } else { "must be" },
-            self.relation,
-            self.bound_of,
-            self.bound,
-            self.unit,
-            self.says
-        )
-    }
-}
-
 impl GainsError {
     fn quantity(robot: &Robot, error: QuantityError) -> Self {
         Self::Quantity {
@@ -357,43 +263,6 @@ impl GainsError {
             error,
         }
     }
-}
-
-/// E2, the half that the paper has right: both surfaces count.
-fn ratio_lower(ratio: f64) -> Condition {
-    Condition::new(
-        "E2",
-        "both surfaces must count, A, B > 0",
-        ("A/B", ratio),
-        Relation::Above,
-        ("0", 0.0),
-        "1",
-    )
-}
-
-/// E2: the input gain A b₂ + B b₁ must be positive.
-fn ratio_upper(ratio: f64, inertia: &PlanarInertia) -> Condition {
-    Condition::new(
-        "E2",
-        "the torque must push S the way the law believes: beyond it the robot diverges",
-        ("A/B", ratio),
-        Relation::Below,
-        ("(d − c)/(c − a)", inertia.ratio_max()),
-        "1",
-    )
-}
-
-/// Largest k_i for which (P − Q) s⁴ + (P λ₂ − Q λ₁) s³ + (G − Q k_i) s² + G λ₁ s + G k_i is stable (Routh), given P > Q, λ₂ > λ₁ [1/s²].
-fn integral_max(
-    ratio: f64,
-    lambda1: f64,
-    lambda2: f64,
-    inertia: &PlanarInertia,
-    model: &NominalModel,
-) -> f64 {
-    let p = (inertia.d - inertia.c) / ratio;
-    let q = inertia.c - inertia.a;
-    model.righting * lambda1 * (lambda2 - lambda1) / (lambda2 * (p * lambda2 - q * lambda1))
 }
 
 fn refuse_broken(section: &'static str, conditions: &[Condition]) -> Result<(), Refused> {

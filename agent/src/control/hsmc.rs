@@ -176,7 +176,7 @@ impl Hsmc {
 ///
 /// With e_v = (v − v_d)/R and r = m g l cos β:
 /// sin α_d = (F_r − ŵ + (d_p − c) v̇_d/R)/r, clamped to sin ±0.7 (there the derivatives are zero);
-/// α̇_d = ((d_p − c) v̈_d/R − ŵ̇)/(r cos α_d); α̈_d = ((d_p − c) v⃛_d/(R r) + sin α_d α̇_d²)/cos α_d;
+/// α̇_d = ((d_p − c) v̈_d/R − ŵ̇)/(r cos α_d); α̈_d = (((d_p − c) v⃛_d/R − ŵ̈)/r + sin α_d α̇_d²)/cos α_d;
 /// S₁ = e_v + a₁ ∫e_v; S₂ = α̇ − α̇_d + a₂ (α − α_d); S = A S₁ + B S₂;
 /// τ_p = −[A (f_φ − v̇_d/R + a₁ e_v) + B (f_α − α̈_d + a₂ (α̇ − α̇_d)) + k S + ε sat(S/Φ)]/(A b_φ + B b_α).
 /// Not finite where the input is not, or overflows.
@@ -204,7 +204,7 @@ pub fn law(
     if needed.abs() < SIN_ALPHA_MAX {
         let cos = alpha_d.cos();
         alpha_d_rate = (carried * shape.accel_rate - w.rate) / (righting * cos);
-        alpha_d_accel = (carried * shape.accel_rate_rate / righting
+        alpha_d_accel = ((carried * shape.accel_rate_rate - w.accel) / righting
             + needed * alpha_d_rate * alpha_d_rate)
             / cos;
     }

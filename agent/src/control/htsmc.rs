@@ -223,7 +223,7 @@ pub fn law(
 ///
 /// sin β_d = κ tan q_rd − ŵ/G, κ = (M + I_s/R² − m l/R) v²/G, G = m g l cos α, clamped to ±0.8 (there the derivatives are zero);
 /// β̇_d = (κ sec² q_rd q̇_rd − ŵ̇/G)/cos β_d;
-/// β̈_d = [κ (sec² q_rd q̈_rd + 2 sec² q_rd tan q_rd q̇_rd²) + sin β_d β̇_d²]/cos β_d.
+/// β̈_d = [κ (sec² q_rd q̈_rd + 2 sec² q_rd tan q_rd q̇_rd²) − ŵ̈/G + sin β_d β̇_d²]/cos β_d.
 pub fn pendulum_target(
     model: &NominalModel,
     state: &RobotState,
@@ -249,7 +249,7 @@ pub fn pendulum_target(
     PendulumTarget {
         angle,
         rate,
-        accel: (kappa * bend + sin_beta * rate * rate) / cos_beta,
+        accel: (kappa * bend - w.accel / righting + sin_beta * rate * rate) / cos_beta,
     }
 }
 

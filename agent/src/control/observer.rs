@@ -4,7 +4,8 @@
 //! ([`crate::model::NominalModel::roll_momentum`]): ṗ = known + w. A first-order observer of bandwidth L makes w from the momentum p.
 //! What is left in a rolling sphere is a constant (slope, offset of the centre of mass) plus a torque that turns with the shell
 //! (its imbalance). An oscillator rotated by the shell's own angle, rather than by a frequency of its own, learns
-//! both and says what they are *now*, free of the observer's lag 1/L, and how fast they change: the law needs both.
+//! both and says what they are, free of the observer's lag 1/L, and how fast they change: the law needs both. It says so for
+//! one step *ahead*, when the torque that is computed now acts: motors are about a control period late.
 
 /// Settings of a [`DisturbanceObserver`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,10 +21,12 @@ pub struct ObserverGains {
 /// A disturbance torque on the shell, estimated.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Disturbance {
-    /// ŵ, at this moment [N·m].
+    /// ŵ, one step after the state from which it was made [N·m].
     pub torque: f64,
     /// Its rate ŵ̇ [N·m/s].
     pub rate: f64,
+    /// Its second derivative ŵ̈ [N·m/s²].
+    pub accel: f64,
 }
 
 /// Momentum observer with a constant and a shell-frequency part. One class serves roll and pitch.
@@ -92,9 +95,11 @@ impl DisturbanceObserver {
         let scale = (1.0 + lag * lag).sqrt();
         let (sin, cos) = lag.sin_cos();
         let [w1, w2] = self.turning;
+        let turning = scale * (w1 * cos + w2 * sin);
         Disturbance {
-            torque: self.constant + scale * (w1 * cos + w2 * sin),
+            torque: self.constant + turning,
             rate: scale * shell_rate * (w2 * cos - w1 * sin),
+            accel: -shell_rate * shell_rate * turning,
         }
     }
 }

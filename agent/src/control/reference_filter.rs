@@ -143,8 +143,7 @@ impl CriticallyDamped {
 /// Slope of a typed speed step [m/s²]: the pendulum stays below 0.3 rad.
 pub const SPEED_RAMP: f64 = 0.3;
 
-/// Bandwidth of the filter behind the ramp [rad/s]: faster than the ramp, slower than the non-minimum-phase zero's 8.5 rad/s is not
-/// needed, because α̇_d and α̈_d feed it forward.
+/// Bandwidth of the filter behind the ramp [rad/s]: it adds 0.2 s, and 0 to 0.5 m/s overshoots by 5 mm/s instead of 44.
 const SPEED_BANDWIDTH: f64 = 10.0;
 
 fn is_step(dt: f64) -> bool {
