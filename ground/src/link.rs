@@ -123,7 +123,10 @@ mod tests {
         let arrival = link.arrival(ground(20_000)).expect("echoes").as_nanos() / 1_000_000;
         assert!((1_020_160..=1_020_170).contains(&arrival), "{arrival}");
         let now = link.agent_time(ground(20_000)).expect("telemetry");
-        assert!((now.since(agent(1_020_000))).as_secs_f64().abs() < 0.002, "{now:?}");
+        assert!(
+            (now.since(agent(1_020_000))).as_secs_f64().abs() < 0.002,
+            "{now:?}"
+        );
         assert_eq!(link.ground_time(now), Some(ground(20_000)));
     }
 
