@@ -1,3 +1,6 @@
 //! The world in virtual time: plants, sensors and network around the very agents and station that are deployed.
 
+pub mod metrics;
+pub mod report;
 pub mod scenario;
+pub mod trace;
