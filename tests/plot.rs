@@ -125,7 +125,7 @@ fn every_robot_gets_five_plots_and_a_fleet_one_of_all_paths() {
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{name}");
         assert!(svg.len() < 1_000_000, "{name} has {} bytes", svg.len());
     }
-    assert!(drawn[2].1.contains("speed [m/s]") && drawn[3].1.contains("limit"));
+    assert!(drawn[2].1.contains("Speed [m/s]") && drawn[3].1.contains("limit"));
     assert_eq!(plots(&trace, &subjects).expect("plots"), drawn);
     if let Some(folder) = std::env::var_os("PLOT_DIR") {
         for (name, svg) in &drawn {

@@ -123,7 +123,7 @@ fn errors(rows: &[&Row], subject: Subject<'_>) -> Result<String, PlotError> {
                 bands: approach(),
                 lines: vec![line("true position", BLUE, distance)],
                 keys: settling_key(settled),
-                ..panel("Distance from the reference", "distance", 150)
+                ..panel("Distance from the reference", 150)
             },
             Panel {
                 range: symmetric(&[&late_along, &late_across], 5.0),
@@ -132,13 +132,13 @@ fn errors(rows: &[&Row], subject: Subject<'_>) -> Result<String, PlotError> {
                     line("along (ahead > 0)", ORANGE, along),
                     line("across (left > 0)", BLUE, across),
                 ],
-                ..panel("Position error, once settled", "error [mm]", 190)
+                ..panel("Position error [mm], ranged for what follows settling", 190)
             },
             Panel {
                 range: symmetric(&[&from_settled(&heading)], 0.5),
                 bands: approach(),
                 lines: vec![line("heading", GREEN, heading)],
-                ..panel("Heading error, once settled", "error [°]", 150)
+                ..panel("Heading error [°]", 150)
             },
         ],
     }
@@ -203,17 +203,17 @@ fn motion(rows: &[&Row], subject: Subject<'_>) -> Result<String, PlotError> {
             Panel {
                 range: fitting(&speed, 0.1),
                 lines: speed,
-                ..panel("Speed", "speed [m/s]", 200)
+                ..panel("Speed [m/s]", 200)
             },
             Panel {
                 range: fitting(&roll, 1.0),
                 lines: roll,
-                ..panel("Roll, left > 0", "roll [°]", 200)
+                ..panel("Roll [°], left > 0", 200)
             },
             Panel {
                 range: fitting(&swing, 1.0),
                 lines: swing,
-                ..panel("Swing of the pendulum", "angle [°]", 150)
+                ..panel("Swing of the pendulum from the vertical [°]", 150)
             },
         ],
     }
@@ -234,19 +234,19 @@ fn torques(rows: &[&Row], subject: Subject<'_>) -> Result<String, PlotError> {
             line("applied", BLUE, series(rows, |row| Some(applied(row)))),
         ],
         levels: vec![(limit, "limit"), (-limit, "")],
-        ..panel(title, "torque [N·m]", 220)
+        ..panel(title, 220)
     };
     Figure {
         title: title(subject, "motor torques"),
         time: time(rows),
         panels: vec![
             motor(
-                "Pitch motor, forward > 0",
+                "Pitch motor [N·m], forward > 0",
                 |row| row.torque_commanded.pitch,
                 |row| row.torque_applied.pitch,
             ),
             motor(
-                "Roll motor, left > 0",
+                "Roll motor [N·m], left > 0",
                 |row| row.torque_commanded.roll,
                 |row| row.torque_applied.roll,
             ),
@@ -284,22 +284,21 @@ fn modes(rows: &[&Row], subject: Subject<'_>) -> Result<String, PlotError> {
                 bands: bands.collect(),
                 keys: keys.collect(),
                 label: None,
-                ..panel("Mode", "", 40)
+                ..panel("Mode", 40)
             },
             Panel {
                 range: (0.0, fitting(&ages, 10.0).1),
                 lines: ages,
-                ..panel("Age of the plan, since its telemetry", "age [ms]", 200)
+                ..panel("Age of the plan [ms], since its telemetry", 200)
             },
         ],
     }
     .svg()
 }
 
-fn panel<'a>(title: &'a str, axis: &'a str, height: u32) -> Panel<'a> {
+fn panel(title: &str, height: u32) -> Panel<'_> {
     Panel {
         title,
-        axis,
         height,
         range: (0.0, 1.0),
         lines: Vec::new(),

@@ -1,6 +1,7 @@
 //! The trace of a run: one [`Row`] for each robot every 20 ms of virtual time, its CSV, and the digest that tells runs apart.
 
-use core::fmt::{self, Write};
+use std::fmt::Write as _;
+use std::io::{self, Write};
 
 use sha2::{Digest, Sha256};
 use sphere_protocol::message::{Mode, PlanId};
@@ -124,7 +125,7 @@ impl Trace {
     ///
     /// # Errors
     /// Those of `out`.
-    pub fn write_csv(&self, out: &mut impl Write) -> fmt::Result {
+    pub fn write_csv(&self, out: &mut impl Write) -> io::Result<()> {
         for (index, column) in COLUMNS.iter().enumerate() {
             write!(out, "{}{}", if index == 0 { "" } else { "," }, column.name)?;
         }
@@ -132,13 +133,13 @@ impl Trace {
         for row in &self.rows {
             for (index, column) in COLUMNS.iter().enumerate() {
                 if index > 0 {
-                    out.write_char(',')?;
+                    out.write_all(b",")?;
                 }
                 match (column.value)(row) {
                     Cell::Number(number) => write!(out, "{number:.6}")?,
                     Cell::Count(count) => write!(out, "{count}")?,
                     Cell::Robot(robot) => write!(out, "{robot}")?,
-                    Cell::Word(word) => out.write_str(word)?,
+                    Cell::Word(word) => out.write_all(word.as_bytes())?,
                     Cell::Empty => {}
                 }
             }

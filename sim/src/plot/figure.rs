@@ -17,15 +17,15 @@ const FINE: u32 = 8;
 /// Width of every figure [px].
 pub(super) const WIDTH: u32 = 960;
 /// Room beside a panel for its vertical axis [px].
-pub(super) const LEFT: u32 = 76;
+pub(super) const LEFT: u32 = 64;
 /// Room to the right of a panel [px].
 pub(super) const RIGHT: u32 = 24;
 /// Height of the figure's title [px].
 const TITLE: u32 = 44;
 /// Height of a panel's title and legend [px].
-const HEAD: u32 = 30;
+pub(super) const HEAD: u32 = 30;
 /// Height of the time axis's labels [px].
-const FOOT: u32 = 50;
+pub(super) const FOOT: u32 = 50;
 
 // Okabe and Ito's palette: told apart by every common kind of colour vision.
 /// What is true.
@@ -44,8 +44,10 @@ pub(super) const AMBER: RGBColor = RGBColor(230, 159, 0);
 pub(super) const GREY: RGBColor = RGBColor(190, 190, 190);
 /// Titles, and lines that are no data.
 pub(super) const INK: RGBColor = RGBColor(40, 40, 40);
-const FAINT: RGBColor = RGBColor(232, 232, 232);
-const PAPER: RGBColor = RGBColor(255, 255, 255);
+/// Grid.
+pub(super) const FAINT: RGBColor = RGBColor(232, 232, 232);
+/// Background.
+pub(super) const PAPER: RGBColor = RGBColor(255, 255, 255);
 
 /// Panels one above the other that share the time axis.
 pub(super) struct Figure<'a> {
@@ -57,9 +59,8 @@ pub(super) struct Figure<'a> {
 
 /// One panel: lines over time.
 pub(super) struct Panel<'a> {
+    /// Quantity and unit: plotters would cut a text that stands along the axis.
     pub(super) title: &'a str,
-    /// Quantity and unit.
-    pub(super) axis: &'a str,
     /// Height of the data's part [px].
     pub(super) height: u32,
     pub(super) range: (f64, f64),
@@ -152,7 +153,7 @@ impl Figure<'_> {
             .label_style(text(12.0))
             .axis_desc_style(text(13.0))
             .x_labels(12)
-            .y_labels(usize::try_from(panel.height / 28).unwrap_or(6))
+            .y_labels(usize::try_from(panel.height / 20).unwrap_or(6))
             .x_label_formatter(&plain)
             .set_all_tick_mark_size(px(4));
         if last {
@@ -161,7 +162,7 @@ impl Figure<'_> {
             mesh.x_label_formatter(&|_| String::new());
         }
         match &panel.label {
-            Some(label) => mesh.y_desc(panel.axis).y_label_formatter(label),
+            Some(label) => mesh.y_label_formatter(label),
             None => mesh.disable_y_mesh().disable_y_axis(),
         };
         mesh.draw().map_err(PlotError::new)?;
@@ -276,7 +277,7 @@ pub(super) fn text(size: f64) -> TextStyle<'static> {
 
 /// Roughly how wide `text` is [px]: no font is at hand, so the widest common one is assumed.
 fn width(text: &str, size: f64) -> f64 {
-    text.chars().count() as f64 * size * 0.56
+    text.chars().count() as f64 * size * 0.6
 }
 
 /// `value` without needless digits.

@@ -6,8 +6,8 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use sphere_protocol::robot::RobotId;
 
 use super::figure::{
-    AMBER, Area, BLUE, GREEN, GREY, INK, Key, LEFT, ORANGE, PINK, RIGHT, SKY, WIDTH, canvas,
-    legend, px, text, tidy,
+    AMBER, Area, BLUE, FAINT, FOOT, GREEN, GREY, HEAD, INK, Key, LEFT, ORANGE, PAPER, PINK, RIGHT,
+    SKY, WIDTH, canvas, legend, px, text, tidy,
 };
 use super::{PlotError, Subject, title};
 use crate::trace::{Row, Trace};
@@ -17,8 +17,6 @@ type Points = Vec<(f64, f64)>;
 
 /// Width of the floor [px].
 const FLOOR: u32 = WIDTH - LEFT - RIGHT;
-const HEAD: u32 = 30;
-const FOOT: u32 = 50;
 
 /// The path of one robot over its reference.
 pub(super) fn robot(rows: &[&Row], subject: Subject<'_>) -> Result<String, PlotError> {
@@ -56,7 +54,7 @@ pub(super) fn fleet(trace: &Trace, robots: &[RobotId], run: &str) -> Result<Stri
         .collect();
     let view = View::of(paths.iter().flatten());
     let title = format!("Paths of {} robots ({run})", robots.len());
-    view.svg(&title, "dots: where they ended", &[], |chart| {
+    view.svg(&title, ", dots where they ended", &[], |chart| {
         for (path, colour) in paths.iter().zip(COLOURS.into_iter().cycle()) {
             draw_line(chart, path.clone(), colour, 2)?;
         }
@@ -115,7 +113,7 @@ impl View {
     ) -> Result<String, PlotError> {
         canvas(title, HEAD + self.height + FOOT, |area: Area<'_>| {
             let (head, body) = area.split_vertically(px(HEAD));
-            legend(&head, subtitle, keys)?;
+            legend(&head, &format!("Y [m]{subtitle}"), keys)?;
             let mut chart = ChartBuilder::on(&body)
                 .margin_right(px(RIGHT))
                 .set_label_area_size(LabelAreaPosition::Left, px(LEFT))
@@ -124,18 +122,17 @@ impl View {
                 .map_err(PlotError::new)?;
             chart
                 .configure_mesh()
-                .light_line_style(WHITE.mix(0.0))
-                .bold_line_style(RGBColor(232, 232, 232).stroke_width(px(1)))
+                .light_line_style(PAPER.mix(0.0))
+                .bold_line_style(FAINT.stroke_width(px(1)))
                 .axis_style(INK.stroke_width(px(1)))
                 .label_style(text(12.0))
                 .axis_desc_style(text(13.0))
                 .set_all_tick_mark_size(px(4))
                 .x_labels(12)
-                .y_labels(usize::try_from(self.height / 60).unwrap_or(6).max(3))
+                .y_labels(usize::try_from(self.height / 36).unwrap_or(6).max(3))
                 .x_label_formatter(&|x| tidy(*x))
                 .y_label_formatter(&|y| tidy(*y))
                 .x_desc("X [m]")
-                .y_desc("Y [m]")
                 .draw()
                 .map_err(PlotError::new)?;
             draw(&mut chart)
@@ -168,16 +165,33 @@ fn mark(
         HPos::Right => -(px(10) as i32),
         _ => px(10) as i32,
     };
-    let name = Text::new(
-        name.to_owned(),
-        (shift, -(px(10) as i32)),
-        text(12.5).pos(Pos::new(side, VPos::Center)),
-    );
     let dot = EmptyElement::at(*place)
-        + Circle::new((0, 0), px(6), WHITE.filled())
-        + Circle::new((0, 0), px(5), colour.filled())
-        + name;
-    chart.draw_series([dot]).map(|_| ()).map_err(PlotError::new)
+        + Circle::new((0, 0), px(6), PAPER.filled())
+        + Circle::new((0, 0), px(5), colour.filled());
+    chart.draw_series([dot]).map_err(PlotError::new)?;
+    // A halo of the paper's colour, then the name.
+    let halo = px(2) as i32;
+    let around = [
+        (-halo, 0),
+        (halo, 0),
+        (0, -halo),
+        (0, halo),
+        (-halo, -halo),
+        (halo, halo),
+        (halo, -halo),
+        (-halo, halo),
+    ];
+    let copies = around
+        .into_iter()
+        .map(|offset| (offset, PAPER))
+        .chain([((0, 0), INK)]);
+    for ((dx, dy), colour) in copies {
+        let at = (shift + dx, dy - px(11) as i32);
+        let style = text(12.5).color(&colour).pos(Pos::new(side, VPos::Center));
+        let name = EmptyElement::at(*place) + Text::new(name.to_owned(), at, style);
+        chart.draw_series([name]).map_err(PlotError::new)?;
+    }
+    Ok(())
 }
 
 fn truth(rows: &[&Row]) -> Points {
