@@ -3,8 +3,14 @@
 //! Conventions: SI units and radians; X forward, Y left, Z up; angles by the right-hand rule except the roll `q_r`, positive when
 //! the frame leans *left* (NOTATION.md). Every position means the sphere's centre.
 
+// The generated MAVLink types say `mavlink_core`, which `mavlink` re-exports whole.
+extern crate mavlink as mavlink_core;
+
+pub mod key;
+pub mod mavlink;
 pub mod message;
 pub mod quantity;
 pub mod robot;
 pub mod state;
 pub mod time;
+pub mod wire;

@@ -1,0 +1,132 @@
+//! The flat output of eq (1): from a path to a heading, speed and roll that drive it exactly.
+//!
+//! The sphere's centre C moves by eq (1), Ċ = v (cos φ, sin φ) + R q̇_r n with n = (−sin φ, cos φ). The point P = C − R q_r n moves
+//! along the heading alone: Ṗ = (v + R q_r φ̇)(cos φ, sin φ). So any smooth path of P with speed w = |Ṗ| and curvature φ̇/w fixes the rest
+//! without integration,
+//!
+//!   φ = ∠Ṗ,   tan q_r / (1 + q_r tan q_r) = R φ̇ / w,   v = w / (1 + q_r tan q_r),   C = P + R q_r n,
+//!
+//! and the result obeys eq (1) identically. For a path that is given for C the point P follows from P = C − R q_r(P) n(P), iterated
+//! [`PASSES`] times from P = C: two passes of φ = tangent − atan(R q̇_r/v). The remainder is how far the reference's centre is
+//! from the given path, not an error in eq (1). More passes do not help: the exact inverse is an oscillator at v/R.
+
+use super::ReferencePoint;
+use crate::jet::Jet;
+
+/// Corrections of a path given for the centre. Largest remainder with R = 0.35 m: see `tests/trajectories.rs`.
+const PASSES: usize = 2;
+
+/// Orders needed: each pass takes two derivatives, roll and its rate three.
+pub(super) const ORDERS: usize = 2 * PASSES + 4;
+
+/// Largest R φ̇ / w for which a roll exists is 2/π; a path that turns tighter gets the roll of this value.
+const TURN_MAX: f64 = 0.6;
+
+/// The reference that drives the centre along (x, y) [m], a sphere of radius `r` [m]. The tangent lies within π of `branch` [rad], and so does the heading.
+///
+/// The path must move: |(ẋ, ẏ)| > 0.
+pub(super) fn along_centre(x: Jet<ORDERS>, y: Jet<ORDERS>, r: f64, branch: f64) -> ReferencePoint {
+    let (mut px, mut py) = (x, y);
+    let mut motion = Motion::of(px, py, r);
+    for _ in 0..PASSES {
+        px = x + motion.q_r * motion.sin * r;
+        py = y - motion.q_r * motion.cos * r;
+        motion = Motion::of(px, py, r);
+    }
+    // The tangent relative to the branch, so that the cut of atan2 lies opposite to it.
+    let (s, c) = branch.sin_cos();
+    let (cos, sin) = (motion.cos.value(), motion.sin.value());
+    let heading = branch + (c * sin - s * cos).atan2(c * cos + s * sin);
+    at(px.value(), py.value(), heading, motion.w, motion.q_r, r)
+}
+
+/// The reference while P is at (x, y) [m] with `heading` [rad], moving at `w` [m/s] and turning at `turn` = R φ̇ / w [1].
+pub(super) fn at_point<const N: usize>(
+    x: f64,
+    y: f64,
+    heading: f64,
+    w: Jet<N>,
+    turn: Jet<N>,
+    r: f64,
+) -> ReferencePoint {
+    at(x, y, heading, w, roll_of_turn(turn), r)
+}
+
+/// Roll of a steady turn of P, the solution of tan q / (1 + q tan q) = `turn` [rad].
+pub(super) fn roll_of_turn<const N: usize>(turn: Jet<N>) -> Jet<N> {
+    let bounded = turn.value().clamp(-TURN_MAX, TURN_MAX);
+    let turn = if bounded == turn.value() {
+        turn
+    } else {
+        Jet::constant(bounded)
+    };
+    // g(q) = sin q − turn (cos q + q sin q) grows with q wherever |turn| < 2/π; g′ = cos q (1 − turn q).
+    let mut q = bounded.atan();
+    for _ in 0..20 {
+        let (s, c) = q.sin_cos();
+        let step = (s - bounded * (c + q * s)) / (c * (1.0 - bounded * q));
+        q -= step;
+        if step.abs() < 1e-16 {
+            break;
+        }
+    }
+    // Newton on the series doubles the known orders each time; the value is known already.
+    let mut q = Jet::constant(q);
+    let mut known = 1;
+    while known < N {
+        let (s, c) = q.sin_cos();
+        q = q - (s - turn * (c + q * s)) / (c * (Jet::constant(1.0) - turn * q));
+        known *= 2;
+    }
+    q
+}
+
+/// Curvature of P's path at which the roll is `q_r`, tan q / (1 + q tan q) / R [1/m].
+pub(super) fn curvature_of_roll(q_r: f64, r: f64) -> f64 {
+    q_r.tan() / (1.0 + q_r * q_r.tan()) / r
+}
+
+/// What a path of P implies.
+struct Motion<const N: usize> {
+    cos: Jet<N>,
+    sin: Jet<N>,
+    w: Jet<N>,
+    q_r: Jet<N>,
+}
+
+impl<const N: usize> Motion<N> {
+    fn of(px: Jet<N>, py: Jet<N>, r: f64) -> Self {
+        let (dx, dy) = (px.derivative(), py.derivative());
+        let w = (dx * dx + dy * dy).sqrt();
+        let (cos, sin) = (dx / w, dy / w);
+        let heading_rate = cos * sin.derivative() - sin * cos.derivative();
+        Self {
+            cos,
+            sin,
+            w,
+            q_r: roll_of_turn(heading_rate * r / w),
+        }
+    }
+}
+
+fn at<const N: usize>(
+    px: f64,
+    py: f64,
+    heading: f64,
+    w: Jet<N>,
+    q_r: Jet<N>,
+    r: f64,
+) -> ReferencePoint {
+    let (s, c) = q_r.sin_cos();
+    let v = w / (Jet::constant(1.0) + q_r * s / c);
+    let side = r * q_r.value();
+    ReferencePoint {
+        x: px - side * heading.sin(),
+        y: py + side * heading.cos(),
+        heading,
+        v: v.value(),
+        q_r: q_r.value(),
+        v_rate: v.rate(),
+        q_r_rate: q_r.rate(),
+    }
+}
