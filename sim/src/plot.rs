@@ -132,7 +132,7 @@ fn errors(rows: &[&Row], subject: Subject<'_>) -> Result<String, PlotError> {
                     line("along (ahead > 0)", ORANGE, along),
                     line("across (left > 0)", BLUE, across),
                 ],
-                ..panel("Position error [mm], ranged for what follows settling", 190)
+                ..panel("Position error [mm]", 190)
             },
             Panel {
                 range: symmetric(&[&from_settled(&heading)], 0.5),

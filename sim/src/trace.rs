@@ -4,6 +4,8 @@ use std::fmt::Write as _;
 use std::io::{self, Write};
 
 use sha2::{Digest, Sha256};
+pub use sphere_ground::trajectory::Pose;
+use sphere_ground::trajectory::ReferencePoint;
 use sphere_protocol::message::{Mode, PlanId};
 use sphere_protocol::robot::RobotId;
 use sphere_protocol::state::{RobotState, Setpoint, Torque};
@@ -52,17 +54,6 @@ pub struct Reference {
     pub q_r: f64,
 }
 
-/// Place and heading.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pose {
-    /// World X of the centre [m].
-    pub x: f64,
-    /// World Y of the centre [m].
-    pub y: f64,
-    /// Heading φ [rad].
-    pub heading: f64,
-}
-
 /// What a plan commands at one instant, its feedback included.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
@@ -70,6 +61,24 @@ pub struct Command {
     pub v: f64,
     /// Roll command q_c [rad].
     pub q_r: f64,
+}
+
+impl From<ReferencePoint> for Reference {
+    fn from(point: ReferencePoint) -> Self {
+        let ReferencePoint {
+            x,
+            y,
+            heading,
+            v,
+            q_r,
+            ..
+        } = point;
+        Self {
+            pose: Some(Pose { x, y, heading }),
+            v,
+            q_r,
+        }
+    }
 }
 
 /// The rows of a run in the order of time, and the digest over them and every byte handed in.

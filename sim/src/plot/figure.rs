@@ -275,9 +275,14 @@ pub(super) fn text(size: f64) -> TextStyle<'static> {
         .color(&INK)
 }
 
-/// Roughly how wide `text` is [px]: no font is at hand, so the widest common one is assumed.
+/// Roughly how wide `text` is [px], by the widths of a common wide font: no font is at hand.
 fn width(text: &str, size: f64) -> f64 {
-    text.chars().count() as f64 * size * 0.6
+    let em = |letter: char| match letter {
+        'i' | 'l' | 'j' | 't' | 'f' | 'r' | ' ' | '.' | ',' | '\'' | '(' | ')' => 0.36,
+        'm' | 'w' | 'M' | 'W' => 0.93,
+        _ => 0.61,
+    };
+    size * text.chars().map(em).sum::<f64>()
 }
 
 /// `value` without needless digits.
