@@ -1,9 +1,10 @@
 //! Scenario files: DESIGN's format, its defaults, its refusals with place and remedy, and that a drawn scenario replays.
 
 use proptest::prelude::*;
+use sphere_ground::settings::{Compensation, PlannerMode};
+use sphere_ground::trajectory::Mission;
 use sphere_sim::scenario::{
-    Compensation, Environment, Loss, MissionSetup, Place, PlannerMode, Problem, Scenario,
-    ScenarioError,
+    Environment, Loss, MissionSetup, Place, Problem, Scenario, ScenarioError,
 };
 
 const MINIMAL: &str = "[[robots]]\nid = \"r1\"\n";
@@ -45,7 +46,7 @@ fn robots_alone_make_a_scenario_with_every_default() {
     );
     let r1 = &scenario.robots[0];
     assert_eq!((r1.id.as_str(), r1.model.reference.as_str()), ("r1", "liu"));
-    assert_eq!(r1.mission, MissionSetup::Hold);
+    assert_eq!(r1.mission, MissionSetup::Path(Mission::Hold));
     assert_eq!(r1.plant, r1.model.robot.params);
 }
 
@@ -54,17 +55,17 @@ fn the_shipped_scenarios_are_the_papers_three_trajectories() {
     for (text, mission, duration_s) in [
         (
             include_str!("../sim/scenarios/line.toml"),
-            MissionSetup::Line,
+            MissionSetup::Path(Mission::Line),
             40.0,
         ),
         (
             include_str!("../sim/scenarios/sine.toml"),
-            MissionSetup::Sine,
+            MissionSetup::Path(Mission::Sine),
             60.0,
         ),
         (
             include_str!("../sim/scenarios/lemniscate.toml"),
-            MissionSetup::Lemniscate,
+            MissionSetup::Path(Mission::Lemniscate),
             110.0,
         ),
     ] {
@@ -139,6 +140,7 @@ fn the_papers_preset_brings_its_own_mode_and_horizon() {
         (scenario.planner.mode, scenario.planner.horizon),
         (PlannerMode::Paper, 10)
     );
+    assert_eq!(scenario.planner.compensation, Compensation::Naive);
     let scenario = read(
         MINIMAL,
         &[
@@ -171,10 +173,10 @@ fn set_overrides_any_key_by_its_path() {
     assert_eq!(scenario.network.up.loss, Loss::Independent(0.0));
     assert_eq!(scenario.robots[1].clock_offset_s, 9.0);
     assert_eq!(scenario.planner.compensation, Compensation::NoGains);
-    let circle = MissionSetup::Circle {
+    let circle = MissionSetup::Path(Mission::Circle {
         radius_m: 3.0,
         speed_mps: 0.5,
-    };
+    });
     assert_eq!(scenario.robots[0].mission, circle);
 }
 
@@ -239,7 +241,7 @@ fn every_refusal_names_file_line_key_value_and_remedy() {
         ),
         (
             "[planner]\nhorizon = 200".to_owned(),
-            "demo.toml:2: planner.horizon = 200: it must be from 2 to 64",
+            "demo.toml:2: planner.horizon = 200: it must be from 1 to 64",
         ),
         (
             "[planner]\nsolver = \"clarabell\"".to_owned(),
@@ -288,6 +290,10 @@ fn every_refusal_of_a_robot_names_it_by_its_index() {
         (
             "mission = { kind = \"waypoints\", points_m = [[1.0, 2.0], [3.0]], speed_mps = 0.5 }",
             "demo.toml:3: robots.0.mission.points_m.1 = [3.0]: a point is [x, y] in metres",
+        ),
+        (
+            "mission = { kind = \"circle\", radius_m = 0.4, speed_mps = 1.0 }",
+            "demo.toml:3: robots.0.mission = { kind = \"circle\", ... }: radius_m = 0.4 is tighter than this robot can turn at this speed: use 0.96 m or more, or go slower",
         ),
         (
             "mission = \"sine\"",
@@ -489,7 +495,7 @@ fn a_drawn_scenario_reads_back_equal() {
         mission = { kind = "waypoints", points_m = [[1.0, 2], [3.5, -1e3]], speed_mps = 0.7 }
         [[robots]]
         id = "r2"
-        mission = { kind = "circle", radius_m = -2.5, speed_mps = 0.5 }
+        mission = { kind = "circle", radius_m = 2.5, speed_mps = 0.5 }
     "#;
     let scenario = read(text, &["network.down.delay_ms=250"]);
     let drawn = scenario.drawn();

@@ -4,11 +4,17 @@
 //! Modules in reading order:
 
 pub mod scenario;
+pub mod world;
+pub mod body;
 pub mod plant;
 pub mod friction;
 pub mod disturbance;
 pub mod integrator;
 pub mod actuator;
 pub mod sensor;
-pub mod body;
 pub mod network;
+pub mod trace;
+pub mod metrics;
+pub mod plot;
+pub mod report;
+pub mod output;

@@ -5,6 +5,7 @@
 //! no files: the caller passes the texts. Only what the simulator can do is accepted (`not_yet.rs`).
 //!
 //! ```
+//! use sphere_ground::trajectory::Mission;
 //! use sphere_sim::scenario::{MissionSetup, Scenario};
 //!
 //! let text = "environment = 'calibrated'\n[[robots]]\nid = 'r1'\nmission = { kind = 'sine' }";
@@ -12,7 +13,7 @@
 //! let scenario = Scenario::parse("demo.toml", text, &["network.delay_ms=200".to_owned()], no_files)?;
 //! assert_eq!(scenario.network.up.delay().as_secs_f64(), 0.2);
 //! assert_eq!(scenario.robots[0].plant.coulomb, 0.5);
-//! assert_eq!(scenario.robots[0].mission, MissionSetup::Sine);
+//! assert_eq!(scenario.robots[0].mission, MissionSetup::Path(Mission::Sine));
 //! # Ok::<(), sphere_sim::scenario::ScenarioError>(())
 //! ```
 
@@ -27,13 +28,13 @@ mod table;
 
 use std::collections::BTreeMap;
 
+use sphere_ground::settings::PlannerSettings;
+use sphere_ground::trajectory::Mission;
 use sphere_protocol::robot::{Robot, RobotId, RobotParams};
 use sphere_protocol::time::Span;
 
 pub use error::{Place, Problem, ScenarioError};
-pub use names::{
-    Compensation, Environment, FaultKind, PlannerMode, Preset, RollController, SolverChoice,
-};
+pub use names::{Environment, FaultKind, RollController};
 
 /// One run: the world, the network, the station's settings and the robots with their missions.
 #[derive(Clone, Debug, PartialEq)]
@@ -53,7 +54,7 @@ pub struct Scenario {
     /// How the run is measured.
     pub metrics: MetricsSetup,
     /// Settings of the station's planner.
-    pub planner: PlannerSetup,
+    pub planner: PlannerSettings,
     /// The robots, at least one, in the order of the file.
     pub robots: Vec<RobotSetup>,
 }
@@ -144,23 +145,6 @@ pub struct MetricsSetup {
     pub settle_s: f64,
 }
 
-/// Settings of the station's planner.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PlannerSetup {
-    /// Whose weights. Default ours.
-    pub preset: Preset,
-    /// Which prediction model. Default lag; with `preset = "paper"` paper.
-    pub mode: PlannerMode,
-    /// Knots of 0.1 s. Default 20; with `preset = "paper"` 10.
-    pub horizon: usize,
-    /// Age, counted from its telemetry, at which a plan ends even within its horizon [s]. Default 5.
-    pub max_age_s: f64,
-    /// What is done about delay. Default full.
-    pub compensation: Compensation,
-    /// Which solver. Default auto.
-    pub solver: SolverChoice,
-}
-
 /// One robot of a scenario.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotSetup {
@@ -229,28 +213,8 @@ pub struct Push {
 /// What a robot is to do.
 #[derive(Clone, Debug, PartialEq)]
 pub enum MissionSetup {
-    /// Stand where it is.
-    Hold,
-    /// The paper's line, which never ends.
-    Line,
-    /// The paper's sine.
-    Sine,
-    /// The paper's lemniscate, again and again.
-    Lemniscate,
-    /// A circle to the left that touches the start pose.
-    Circle {
-        /// Radius, < 0 turns right [m].
-        radius_m: f64,
-        /// Speed [m/s].
-        speed_mps: f64,
-    },
-    /// Points one after the other.
-    Waypoints {
-        /// Centre positions, world (x, y) [m]; at least one.
-        points_m: Vec<[f64; 2]>,
-        /// Speed between them [m/s].
-        speed_mps: f64,
-    },
+    /// A mission of the station.
+    Path(Mission),
     /// A direction experiment: constant speed, typed roll angles, no planner.
     Roll {
         /// Speed [m/s].

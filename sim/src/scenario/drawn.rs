@@ -3,7 +3,9 @@
 use core::fmt::Write;
 
 use super::document::{number, quoted};
+use super::table::Named;
 use super::{Disturbance, Fault, Link, Loss, MissionSetup, Partition, RobotSetup, Scenario};
+use sphere_ground::trajectory::Mission;
 use sphere_protocol::robot::RobotId;
 
 /// Keys with their values, in the order in which they are written.
@@ -71,7 +73,7 @@ pub(super) fn scenario(scenario: &Scenario) -> String {
             ("preset", quoted(planner.preset.name())),
             ("mode", quoted(planner.mode.name())),
             ("horizon", planner.horizon.to_string()),
-            ("max_age_s", number(planner.max_age_s)),
+            ("max_age_s", number(planner.max_age.as_secs_f64())),
             ("compensation", quoted(planner.compensation.name())),
             ("solver", quoted(planner.solver.name())),
         ],
@@ -169,24 +171,24 @@ fn disturbance(disturbance: &Disturbance) -> String {
 
 fn mission(mission: &MissionSetup) -> String {
     let (kind, keys): (_, Lines) = match mission {
-        MissionSetup::Hold => ("hold", vec![]),
-        MissionSetup::Line => ("line", vec![]),
-        MissionSetup::Sine => ("sine", vec![]),
-        MissionSetup::Lemniscate => ("lemniscate", vec![]),
-        MissionSetup::Circle {
+        MissionSetup::Path(Mission::Hold) => ("hold", vec![]),
+        MissionSetup::Path(Mission::Line) => ("line", vec![]),
+        MissionSetup::Path(Mission::Sine) => ("sine", vec![]),
+        MissionSetup::Path(Mission::Lemniscate) => ("lemniscate", vec![]),
+        MissionSetup::Path(Mission::Circle {
             radius_m,
             speed_mps,
-        } => (
+        }) => (
             "circle",
             vec![
                 ("radius_m", number(*radius_m)),
                 ("speed_mps", number(*speed_mps)),
             ],
         ),
-        MissionSetup::Waypoints {
+        MissionSetup::Path(Mission::Waypoints {
             points_m,
             speed_mps,
-        } => (
+        }) => (
             "waypoints",
             vec![
                 (

@@ -1,5 +1,8 @@
 //! The choices that a scenario makes by name.
 
+use sphere_ground::mpc::Solver;
+use sphere_ground::settings::{Compensation, PlannerMode, Preset};
+
 use super::table::Named;
 
 /// Declares an enum together with the name of each value in the file.
@@ -9,13 +12,6 @@ macro_rules! named {
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum $name { $($(#[$value_doc])* $value,)+ }
 
-        impl $name {
-            /// Its name in the file.
-            pub const fn name(self) -> &'static str {
-                match self { $(Self::$value => $text,)+ }
-            }
-        }
-
         impl Named for $name {
             const WHAT: &'static str = $what;
             const NAMES: &'static [(&'static str, Self)] = &[$(($text, Self::$value),)+];
@@ -24,7 +20,7 @@ macro_rules! named {
 }
 
 named! {
-    /// How kind the world is (MODEL §8 in words): it sets defaults that explicit keys override.
+    /// How kind the world is: it sets defaults that explicit keys override.
     Environment, "environment" {
         /// Exact sensors, no imbalance, motors without lag, delay and friction.
         Ideal = "ideal",
@@ -32,50 +28,6 @@ named! {
         Real = "real",
         /// As `Real` with 2.3 N·m imbalance and 0.5 N·m joint friction: there the paper's plain law shows the paper's steady-state errors.
         Calibrated = "calibrated",
-    }
-}
-
-named! {
-    /// Whose planner weights.
-    Preset, "planner preset" {
-        /// This project's.
-        Ours = "ours",
-        /// The paper's, as printed.
-        Paper = "paper",
-    }
-}
-
-named! {
-    /// The planner's prediction model.
-    PlannerMode, "planner mode" {
-        /// Commands reach speed and roll through the reference lag.
-        Lag = "lag",
-        /// Speed and roll are the inputs themselves, as in eq (20).
-        Paper = "paper",
-    }
-}
-
-named! {
-    /// What is done about delay.
-    Compensation, "compensation" {
-        /// Predicted by the station, played on time, corrected by feedback gains on board.
-        Full = "full",
-        /// As `Full` without the gains.
-        NoGains = "no-gains",
-        /// Nothing: the newest command holds, as in the paper.
-        Naive = "naive",
-    }
-}
-
-named! {
-    /// Which solver plans.
-    SolverChoice, "solver" {
-        /// The Riccati sweep, and Clarabel for what it cannot solve.
-        Auto = "auto",
-        /// The Riccati sweep alone.
-        Riccati = "riccati",
-        /// Clarabel alone.
-        Clarabel = "clarabel",
     }
 }
 
@@ -109,4 +61,32 @@ named! {
         /// Planning takes far longer than its period.
         SlowPlanner = "slow-planner",
     }
+}
+
+impl Named for Preset {
+    const WHAT: &'static str = "planner preset";
+    const NAMES: &'static [(&'static str, Self)] = &[("ours", Self::Ours), ("paper", Self::Paper)];
+}
+
+impl Named for PlannerMode {
+    const WHAT: &'static str = "planner mode";
+    const NAMES: &'static [(&'static str, Self)] = &[("lag", Self::Lag), ("paper", Self::Paper)];
+}
+
+impl Named for Compensation {
+    const WHAT: &'static str = "compensation";
+    const NAMES: &'static [(&'static str, Self)] = &[
+        ("full", Self::Full),
+        ("no-gains", Self::NoGains),
+        ("naive", Self::Naive),
+    ];
+}
+
+impl Named for Solver {
+    const WHAT: &'static str = "solver";
+    const NAMES: &'static [(&'static str, Self)] = &[
+        ("auto", Self::Auto),
+        ("riccati", Self::Riccati),
+        ("clarabel", Self::Clarabel),
+    ];
 }

@@ -1,14 +1,16 @@
 //! From a document to a [`Scenario`]: every table with its keys, defaults and ranges.
 
+use sphere_ground::settings::{PlannerSettings, Preset};
 use sphere_protocol::message::KNOTS_MAX;
 use sphere_protocol::robot::RobotId;
+use sphere_protocol::time::Span;
 
 use super::document::{Node, Value};
 use super::error::{Place, Read};
 use super::table::{Range, Table, refused, text_of, unknown_name};
 use super::{
-    Environment, Fault, FaultKind, Link, Loss, MetricsSetup, Network, Partition, PlannerMode,
-    PlannerSetup, Preset, Scenario, Sensing, not_yet, robots,
+    Environment, Fault, FaultKind, Link, Loss, MetricsSetup, Network, Partition, Scenario, Sensing,
+    not_yet, robots,
 };
 
 /// Longest time in a scenario [s]: ten years of nanoseconds still leave room in an instant.
@@ -206,7 +208,7 @@ fn metrics(top: &Table<'_>) -> Read<MetricsSetup> {
     })
 }
 
-fn planner(top: &Table<'_>) -> Read<PlannerSetup> {
+fn planner(top: &Table<'_>) -> Read<PlannerSettings> {
     let empty = empty();
     let keys = [
         "preset",
@@ -217,23 +219,19 @@ fn planner(top: &Table<'_>) -> Read<PlannerSetup> {
         "solver",
     ];
     let table = section(top, "planner", &keys, &empty)?;
-    let preset = table.named_or("preset", Preset::Ours)?;
-    let (mode, horizon) = match preset {
-        Preset::Ours => (PlannerMode::Lag, 20),
-        Preset::Paper => (PlannerMode::Paper, 10),
-    };
+    let preset = PlannerSettings::of(table.named_or("preset", Preset::Ours)?);
     let longest = i64::try_from(KNOTS_MAX).expect("a plan has few knots");
-    Ok(PlannerSetup {
-        preset,
-        mode: table.named_or("mode", mode)?,
-        horizon: table
-            .integer("horizon", 2, longest)?
-            .map_or(horizon, |knots| {
-                usize::try_from(knots).expect("checked to lie in 2..=KNOTS_MAX")
-            }),
-        max_age_s: table.number_or("max_age_s", Range::positive(LONGEST_S), 5.0)?,
-        compensation: table.named_or("compensation", super::Compensation::Full)?,
-        solver: table.named_or("solver", super::SolverChoice::Auto)?,
+    let horizon = table.integer("horizon", 1, longest)?;
+    let max_age = table.number("max_age_s", Range::positive(3600.0))?;
+    Ok(PlannerSettings {
+        preset: preset.preset,
+        mode: table.named_or("mode", preset.mode)?,
+        horizon: horizon.map_or(preset.horizon, |knots| {
+            usize::try_from(knots).expect("checked to lie in 1..=KNOTS_MAX")
+        }),
+        max_age: max_age.map_or(preset.max_age, Span::from_secs_f64),
+        compensation: table.named_or("compensation", preset.compensation)?,
+        solver: table.named_or("solver", preset.solver)?,
     })
 }
 

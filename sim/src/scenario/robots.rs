@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use sphere_ground::trajectory::{Mission, Pose, Trajectory};
 use sphere_protocol::robot::{Robot, RobotId, RobotParams};
 
 use super::document::{Node, Value, join, quoted};
@@ -213,7 +214,7 @@ fn disturbance(table: &Table<'_>, environment: Environment) -> Read<Disturbance>
 
 fn mission(table: &Table<'_>, robot: &Robot) -> Read<MissionSetup> {
     let Some((node, path)) = table.node("mission") else {
-        return Ok(MissionSetup::Hold);
+        return Ok(MissionSetup::Path(Mission::Hold));
     };
     if let Value::Text(kind) = &node.value {
         let why = format!("it must be a table: write {{ kind = {} }}", quoted(kind));
@@ -250,41 +251,37 @@ fn mission(table: &Table<'_>, robot: &Robot) -> Read<MissionSetup> {
     }
     let v_max = robot.limits.v_max;
     let speed = || any.required_number("speed_mps", Range::positive(v_max), SPEED_EXAMPLE);
-    Ok(match kind {
-        "line" => MissionSetup::Line,
-        "sine" => MissionSetup::Sine,
-        "lemniscate" => MissionSetup::Lemniscate,
-        "circle" => {
-            let radius_m = any.required_number("radius_m", POSITION, "radius_m = 3.0")?;
-            // A tighter circle than its own width is a pirouette, which this drive cannot do.
-            if radius_m.abs() < robot.params.r {
-                let (node, path) = any.node("radius_m").expect("it was read");
-                let why = format!(
-                    "a circle must be at least as wide as the robot, {} m",
-                    robot.params.r
-                );
-                return Err(refused(node, &path, why));
-            }
-            MissionSetup::Circle {
-                radius_m,
-                speed_mps: speed()?,
-            }
+    let mission = match kind {
+        "roll" => {
+            return Ok(MissionSetup::Roll {
+                speed_mps: any.required_number(
+                    "speed_mps",
+                    Range::within(0.0, v_max),
+                    SPEED_EXAMPLE,
+                )?,
+                angles_deg: angles(&any, robot.limits.q_r_max.to_degrees())?,
+                hold_s: any.number_or("hold_s", LENGTH_OF_TIME, 10.0)?,
+            });
         }
-        "waypoints" => MissionSetup::Waypoints {
+        "line" => Mission::Line,
+        "sine" => Mission::Sine,
+        "lemniscate" => Mission::Lemniscate,
+        "circle" => Mission::Circle {
+            radius_m: any.required_number("radius_m", Range::positive(1e6), "radius_m = 3.0")?,
+            speed_mps: speed()?,
+        },
+        "waypoints" => Mission::Waypoints {
             points_m: points(&any)?,
             speed_mps: speed()?,
         },
-        "roll" => MissionSetup::Roll {
-            speed_mps: any.required_number(
-                "speed_mps",
-                Range::within(0.0, v_max),
-                SPEED_EXAMPLE,
-            )?,
-            angles_deg: angles(&any, robot.limits.q_r_max.to_degrees())?,
-            hold_s: any.number_or("hold_s", LENGTH_OF_TIME, 10.0)?,
-        },
-        _ => MissionSetup::Hold,
-    })
+        _ => Mission::Hold,
+    };
+    // What only the whole path shows: too tight a turn, points too close to each other.
+    mission
+        .validated()
+        .and_then(|mission| Trajectory::new(&mission, robot, Pose::default()).map(|_| mission))
+        .map(MissionSetup::Path)
+        .map_err(|error| refused(node, &path, error.to_string()))
 }
 
 fn points(mission: &Table<'_>) -> Read<Vec<[f64; 2]>> {

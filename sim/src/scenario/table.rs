@@ -23,11 +23,17 @@ pub(super) struct Range {
 }
 
 /// A type whose values have names in the file.
-pub(super) trait Named: Copy + 'static {
+pub(super) trait Named: Copy + PartialEq + 'static {
     /// What the names name, for messages.
     const WHAT: &'static str;
     /// Every value with its name.
     const NAMES: &'static [(&'static str, Self)];
+
+    /// Its name in the file.
+    fn name(self) -> &'static str {
+        let named = Self::NAMES.iter().find(|(_, value)| *value == self);
+        named.expect("every value is listed").0
+    }
 }
 
 impl Range {
