@@ -256,6 +256,11 @@ impl Agent {
         &self.signals
     }
 
+    /// The plans at hand.
+    pub fn playback(&self) -> &Playback {
+        &self.playback
+    }
+
     /// Messages and frames dropped, by reason.
     pub fn dropped(&self) -> &[u32; DropReason::COUNT] {
         &self.dropped

@@ -23,6 +23,7 @@ pub struct Playback {
     /// Bit i: plan `newest.seq - 1 - i` of the same epoch was received.
     received: u32,
     loop_delay: Option<Span>,
+    begun: u64,
 }
 
 /// What the plan in force commands at one instant.
@@ -55,7 +56,7 @@ const ROUNDING: f64 = 1e-4;
 impl Playback {
     /// No plan.
     pub fn new() -> Self {
-        Self { current: None, waiting: ArrayVec::new(), newest: None, received: 0, loop_delay: None }
+        Self { current: None, waiting: ArrayVec::new(), newest: None, received: 0, loop_delay: None, begun: 0 }
     }
 
     /// Takes in a plan that was decoded and is meant for this robot, boot and lease.
@@ -101,6 +102,7 @@ impl Playback {
         if let Some(begun) = self.waiting.iter().rposition(|plan| plan.start <= now) {
             let mut plans = self.waiting.drain(..=begun);
             self.current = plans.next_back();
+            self.begun += 1;
         }
     }
 
@@ -158,6 +160,11 @@ impl Playback {
     /// Whether a plan waits for its start.
     pub fn has_waiting(&self) -> bool {
         !self.waiting.is_empty()
+    }
+
+    /// How many plans have begun since the start.
+    pub fn begun(&self) -> u64 {
+        self.begun
     }
 
     /// The newest plan received.

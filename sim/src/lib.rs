@@ -4,6 +4,7 @@
 //! Modules in reading order:
 
 pub mod scenario;
+pub mod run;
 pub mod world;
 pub mod body;
 pub mod plant;

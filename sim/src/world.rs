@@ -12,19 +12,24 @@ use sphere_agent::agent::{Agent, Event as AgentEvent, Input as AgentInput, Outpu
 use sphere_agent::config::{AgentConfig, Timing};
 use sphere_agent::control::DirectionChoice;
 use sphere_agent::gains::GainsError;
+use sphere_agent::estimator::{EstimatorConfig, StartPose};
 use sphere_ground::station::{
     Event as StationEvent, Input as StationInput, Output as StationOutput, RobotConfig, Station, StationConfig,
 };
-use sphere_ground::trajectory::{Pose, Trajectory};
+use sphere_ground::tasking::StartCondition;
+use sphere_ground::trajectory::Mission;
 use sphere_protocol::key::Key;
+use sphere_protocol::message::PlanId;
 use sphere_protocol::robot::RobotId;
 use sphere_protocol::time::{AgentClock, GroundClock, Instant, Span};
 
 use crate::body::{Body, BodyRandom, BodySetup, Purpose, stream};
-use crate::network::Link;
-use crate::scenario::{RobotSetup, Scenario};
+use crate::disturbance::{Disturbance, Push};
+use crate::metrics::{RobotRecord, SolverCounts};
+use crate::network::{Link, LinkModel};
+use crate::scenario::{self, Loss, MissionSetup, RollController, RobotSetup, Scenario};
 use crate::sensor::Sensors;
-use crate::trace::{Row, Trace};
+use crate::trace::{Command, ROW_PERIOD, Reference, Row, Trace};
 
 /// Virtual time since the world began.
 type WorldTime = Span;
@@ -72,8 +77,9 @@ struct SimRobot {
     up: Link,
     down: Link,
     fix_period: Option<Span>,
-    trajectory: Trajectory,
     mission_started: Option<WorldTime>,
+    newest_plan: Option<PlanId>,
+    loop_delays: Vec<Span>,
 }
 
 struct Entry {
@@ -102,8 +108,6 @@ const MOTOR_LINK: Span = Span::from_millis(1);
 const CONTROL_TIME: Span = Span::from_nanos(500_000);
 /// A plan takes some 20 µs; this leaves room for a station that plans for many.
 const PLANNING_TIME: Span = Span::from_millis(2);
-/// The trace has a row for each robot and control period.
-const SAMPLE_PERIOD: Span = Span::from_millis(20);
 const BOARD_HEARTBEAT: Span = Span::from_millis(1000);
 /// Origins of the clocks that nobody asked for are drawn up to this far apart [s].
 const CLOCK_SPREAD: f64 = 1000.0;
@@ -125,7 +129,7 @@ impl World {
             .map(|(index, setup)| SimRobot::new(scenario, index, setup))
             .collect::<Result<Vec<_>, _>>()?;
         let config = StationConfig {
-            id: station_id,
+            station: station_id,
             planner: scenario.planner,
             robots: scenario
                 .robots
@@ -133,11 +137,15 @@ impl World {
                 .map(|setup| RobotConfig {
                     id: setup.id,
                     robot: setup.model.robot.clone(),
-                    mission: setup.mission.clone(),
+                    mission: match &setup.mission {
+                        MissionSetup::Path(mission) => mission.clone(),
+                        MissionSetup::Roll { .. } => Mission::Hold,
+                    },
+                    start: StartCondition::Ready,
                 })
                 .collect(),
         };
-        let station = Station::new(Instant::from_nanos(0) + station_clock, config);
+        let station = Station::new(config, Instant::from_nanos(0) + station_clock);
         let mut world = Self {
             robots,
             station,
@@ -181,6 +189,11 @@ impl World {
     /// What agents and station reported so far.
     pub fn reports(&self) -> &[Report] {
         &self.reports
+    }
+
+    /// What is left of the world when its time is over.
+    pub fn into_parts(self) -> (Trace, Vec<Report>) {
+        (self.trace, self.reports)
     }
 
     /// Hands the station or an agent bytes that no one sent, as an attacker or a broken link would.
@@ -260,13 +273,13 @@ impl World {
             }
             Happening::Sample => {
                 self.sample(now);
-                self.schedule(now + SAMPLE_PERIOD, Happening::Sample);
+                self.schedule(now + ROW_PERIOD, Happening::Sample);
             }
         }
     }
 
     fn frame_to_agent(&mut self, now: WorldTime, robot: usize, frame: &[u8]) {
-        self.trace.wire(frame);
+        self.trace.absorb("motor", frame);
         self.schedule(now + MOTOR_LINK, Happening::FrameToAgent { robot, bytes: frame.to_vec() });
     }
 
@@ -277,12 +290,12 @@ impl World {
         while let Some(output) = self.robots[robot].agent.poll_output() {
             match output {
                 AgentOutput::Motor(frame) => {
-                    self.trace.wire(&frame);
+                    self.trace.absorb("motor", &frame);
                     let arrival = now + CONTROL_TIME + MOTOR_LINK;
                     self.schedule(arrival, Happening::FrameToBoard { robot, bytes: frame.to_vec() });
                 }
                 AgentOutput::Publish { direction, topic, bytes, .. } => {
-                    self.trace.wire(&bytes);
+                    self.trace.absorb(topic, &bytes);
                     let cell = &mut self.robots[robot];
                     let Ok(key) = Key::new(&cell.id, direction, topic) else {
                         continue;
@@ -313,29 +326,18 @@ impl World {
         self.station.handle_input(station_now, input);
         while let Some(output) = self.station.poll_output() {
             match output {
-                StationOutput::Publish { robot: id, direction, topic, bytes, .. } => {
-                    self.trace.wire(&bytes);
+                StationOutput::Publish { robot: id, key, bytes, .. } => {
+                    self.trace.absorb(&key, &bytes);
                     let Some(robot) = self.robots.iter().position(|cell| cell.id == id) else {
                         continue;
                     };
-                    let Ok(key) = Key::new(&id, direction, topic) else {
-                        continue;
-                    };
-                    let key = key.text().as_bytes().to_vec();
+                    let key = key.as_bytes().to_vec();
                     if let Some(delay) = self.robots[robot].down.transmit(bytes.len()) {
                         let bytes = bytes.to_vec();
                         self.schedule(now + PLANNING_TIME + delay, Happening::ToAgent { robot, key, bytes });
                     }
                 }
-                StationOutput::Event(event) => self.report(now, event.robot(), Reported::Station(event)),
-            }
-        }
-        for cell in &mut self.robots {
-            if cell.mission_started.is_none() {
-                cell.mission_started = self
-                    .station
-                    .mission_started(&cell.id)
-                    .map(|at| Span::from_nanos(at.as_nanos()) - self.station_clock);
+                StationOutput::Event { robot, event } => self.report(now, robot, Reported::Station(event)),
             }
         }
         let due = Span::from_nanos(self.station.poll_timeout().as_nanos()) - self.station_clock;
@@ -343,6 +345,64 @@ impl World {
             self.station_due = due.max(now);
             self.schedule(self.station_due, Happening::StationTimeout);
         }
+    }
+
+    /// One row for each robot.
+    fn sample(&mut self, now: WorldTime) {
+        for cell in &mut self.robots {
+            cell.body.advance(now);
+            let agent_now = Instant::<AgentClock>::from_nanos(now.as_nanos()) + cell.clock;
+            let mission = self.station.session(&cell.id).and_then(|session| session.task().running());
+            let reference = mission.map(|(trajectory, anchor)| {
+                cell.mission_started.get_or_insert_with(|| Span::from_nanos(anchor.as_nanos()) - cell.clock);
+                Reference::from(trajectory.reference((agent_now - anchor).as_secs_f64()))
+            });
+            let playback = cell.agent.playback();
+            if playback.newest() != cell.newest_plan {
+                cell.newest_plan = playback.newest();
+                cell.loop_delays.extend(playback.loop_delay());
+            }
+            let signals = cell.agent.signals();
+            self.trace.push(Row {
+                t: now,
+                robot: cell.id,
+                truth: cell.body.state().robot,
+                reference,
+                estimate: signals.state,
+                setpoint: signals.setpoint,
+                command: signals.command.map(|[v, q_r]| Command { v, q_r }),
+                torque_commanded: signals.torque,
+                torque_applied: cell.body.torque(),
+                mode: cell.agent.mode(),
+                plan_age: signals.plan_age,
+                playing: signals.playing,
+            });
+        }
+    }
+
+    /// What each robot's run amounts to, beside the trace.
+    pub fn records(&self) -> Vec<RobotRecord> {
+        self.robots
+            .iter()
+            .map(|cell| {
+                let counters = self.station.session(&cell.id).map(|session| *session.counters()).unwrap_or_default();
+                RobotRecord {
+                    robot: cell.id,
+                    mission_start: cell.mission_started,
+                    roll_step: None,
+                    plans_sent: counters.plans_sent,
+                    plans_adopted: cell.agent.playback().begun(),
+                    loop_delays: cell.loop_delays.clone(),
+                    bytes_up: cell.up.bytes,
+                    bytes_down: cell.down.bytes,
+                    solver: SolverCounts {
+                        riccati: counters.riccati,
+                        clarabel: counters.clarabel,
+                        shifted: counters.shifted,
+                    },
+                }
+            })
+            .collect()
     }
 
     fn report(&mut self, now: WorldTime, robot: RobotId, what: Reported) {
@@ -353,6 +413,90 @@ impl World {
         self.caused += 1;
         self.queue.push(Reverse(Entry { at, order: self.caused, what }));
     }
+}
+
+impl SimRobot {
+    fn new(scenario: &Scenario, index: usize, setup: &RobotSetup) -> Result<Self, GainsError> {
+        let mut random = stream(scenario.seed, index, Purpose::Clocks);
+        let mut draw = || -> f64 { StandardUniform.sample(&mut random) };
+        let boot_id = 1 + (draw() * 9e15) as u64;
+        let board_clock = Span::from_secs_f64(draw() * CLOCK_SPREAD);
+        let [x, y, heading] = [setup.start.x_m, setup.start.y_m, setup.start.heading()];
+        let sensing = &scenario.sensing;
+        let body = Body::new(
+            BodySetup {
+                params: setup.plant,
+                start: [x, y, heading],
+                disturbance: disturbance(&setup.disturbance),
+                noise: sensing.noise,
+                fix_sigma: sensing.position_fix_sigma(),
+                clock_offset: board_clock,
+            },
+            BodyRandom::new(scenario.seed, index),
+        );
+        let clock = Span::from_secs_f64(setup.clock_offset_s);
+        let config = AgentConfig {
+            id: setup.id,
+            robot: setup.model.robot.clone(),
+            boot_id,
+            estimator: EstimatorConfig { start: StartPose { x, y, heading, ..StartPose::default() }, ..Default::default() },
+            direction: match setup.roll_controller {
+                RollController::Htsmc => DirectionChoice::Htsmc,
+                // The scenario format has them, the simulator refuses them with "not yet".
+                RollController::HtsmcPaper | RollController::FuzzyPid | RollController::FuzzyPidSingle => {
+                    DirectionChoice::Htsmc
+                }
+            },
+            timing: Timing::default(),
+        };
+        let link = |model: &scenario::Link, purpose| {
+            let loss = match model.loss {
+                Loss::Independent(loss) => loss,
+                Loss::Burst { .. } => 0.0,
+            };
+            let model = LinkModel { delay: model.delay().as_secs_f64(), jitter: model.jitter().as_secs_f64(), loss };
+            Link::new(model, stream(scenario.seed, index, purpose))
+        };
+        Ok(Self {
+            id: setup.id,
+            body,
+            agent: Agent::new(Instant::from_nanos(0) + clock, config)?,
+            clock,
+            agent_due: Span::ZERO,
+            up: link(&scenario.network.up, Purpose::LinkUp),
+            down: link(&scenario.network.down, Purpose::LinkDown),
+            fix_period: (sensing.position_fix_hz > 0.0)
+                .then(|| Span::from_secs_f64(1.0 / sensing.position_fix_hz)),
+            mission_started: None,
+            newest_plan: None,
+            loop_delays: Vec::new(),
+        })
+    }
+}
+
+fn disturbance(setup: &scenario::Disturbance) -> Disturbance {
+    Disturbance {
+        imbalance: setup.imbalance_nm,
+        pushes: setup
+            .pushes
+            .iter()
+            .map(|push| Push { roll_nm: push.roll_nm, pitch_nm: 0.0, at_s: push.at_s, for_s: push.for_s })
+            .collect(),
+        ..Disturbance::default()
+    }
+}
+
+/// Where outside bytes enter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Inject {
+    /// The station's subscription.
+    Station,
+    /// A robot's subscription, by its place in the scenario.
+    Agent(usize),
+    /// A robot's motor link, towards the agent.
+    MotorLink(usize),
+    /// A robot's motor link, towards the board.
+    Board(usize),
 }
 
 const STATION: usize = usize::MAX / 32;
