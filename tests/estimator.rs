@@ -1,6 +1,8 @@
 //! The onboard estimator keeps the promises of MODEL §9: attitude free of the kinematic acceleration, dead reckoning by eq (1)
 //! within 2 % of the path, late fixes fused where they belong, honest covariance, bad input counted.
 
+#[path = "estimator/closed_loop.rs"]
+mod closed_loop;
 #[path = "estimator/motion.rs"]
 mod motion;
 
@@ -29,6 +31,7 @@ struct Errors {
     nees: f64,
     position_max: f64,
     drift: f64,
+    dq: f64,
 }
 
 const SETTLED: f64 = 5.0;
@@ -149,5 +152,135 @@ fn look() {
                 }
             }
         }
+    }
+}
+
+#[test]
+fn look_plant() {
+    let kicks = std::env::var("KICK").is_ok();
+    let robot = Robot::embedded("liu").expect("liu is embedded");
+    for (name, motion) in [
+        ("lemniscate", motion::lemniscate as Motion),
+        ("steps", motion::speed_steps),
+    ] {
+        for (noise, fixes, seeds) in [(0.0, false, 1), (1.0, true, 5), (1.0, false, 5)] {
+            for seed in 0..seeds {
+                let sensing = Sensing {
+                    noise,
+                    fixes,
+                    fix_delay: 0.05,
+                    seed,
+                };
+                let mut config = EstimatorConfig::default();
+                if let Ok(a) = std::env::var("ALPHA") {
+                    config.alpha_accel = a.parse().unwrap();
+                }
+                if let Ok(a) = std::env::var("JERK") {
+                    config.theta_r_jerk = a.parse().unwrap();
+                }
+                if let Ok(a) = std::env::var("PIV") {
+                    config.pivot_rate = a.parse().unwrap();
+                }
+                if let Ok(a) = std::env::var("ACC") {
+                    config.accel_noise = a.parse().unwrap();
+                }
+                let mut est = estimator(config);
+                let mut errors = Errors::default();
+                let disturbance = sphere_sim::disturbance::Disturbance {
+                    imbalance: 0.2,
+                    pushes: if kicks {
+                        (1..20)
+                            .flat_map(|k| {
+                                [
+                                    sphere_sim::disturbance::Push {
+                                        roll_nm: 8.0,
+                                        pitch_nm: 0.0,
+                                        at_s: 5.0 * k as f64,
+                                        for_s: 0.2,
+                                    },
+                                    sphere_sim::disturbance::Push {
+                                        roll_nm: 0.0,
+                                        pitch_nm: 15.0,
+                                        at_s: 5.0 * k as f64 + 2.0,
+                                        for_s: 0.2,
+                                    },
+                                ]
+                            })
+                            .collect()
+                    } else {
+                        vec![]
+                    },
+                    ..Default::default()
+                };
+                let mut qmax: f64 = 0.0;
+                let mut tracking = 0.0;
+                closed_loop::drive(
+                    &mut est,
+                    &robot.params,
+                    &disturbance,
+                    motion,
+                    &sensing,
+                    100.0,
+                    |e, t| {
+                        errors.add(e, t);
+                        qmax = qmax.max(t.state.q_r.abs());
+                        tracking += (t.state.q_r - motion(t.t).q_r.f).powi(2);
+                    },
+                );
+                errors.rms().print(&format!(
+                    "plant {name} noise {noise} fixes {fixes} seed {seed}, q_max {:.1} track {:.2}",
+                    qmax / DEGREE,
+                    (tracking / 20000.0).sqrt() / DEGREE
+                ));
+                if seed == 0 {
+                    println!(
+                        "{:?} {:?} {:?}",
+                        est.counters(),
+                        est.sigma(),
+                        est.gyro_bias()
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn speed() {
+    let sensing = Sensing {
+        noise: 1.0,
+        fixes: true,
+        fix_delay: 0.05,
+        seed: 3,
+    };
+    let ev = events(motion::lemniscate, &sensing, 60.0);
+    for pass in 0..5 {
+        let mut est = estimator(EstimatorConfig::default());
+        let (mut frame, mut fixes) = (0.0, 0.0);
+        let mut nf = 0;
+        let t0 = std::time::Instant::now();
+        for e in &ev {
+            if let Event::Frame(m, _) = e {
+                est.on_measurement(m);
+            }
+        }
+        frame += t0.elapsed().as_secs_f64();
+        let mut est = estimator(EstimatorConfig::default());
+        let t0 = std::time::Instant::now();
+        for e in &ev {
+            match e {
+                Event::Frame(m, _) => est.on_measurement(m),
+                Event::Fix(f) => {
+                    nf += 1;
+                    est.on_fix(f);
+                }
+            }
+        }
+        fixes += t0.elapsed().as_secs_f64();
+        println!(
+            "pass {pass}: {:.3} us a frame, {:.2} us a fix",
+            frame / 12001.0 * 1e6,
+            (fixes - frame) / nf as f64 * 1e6
+        );
     }
 }

@@ -25,8 +25,8 @@ use sphere_protocol::time::{BoardClock, Instant};
 
 use alignment::Alignment;
 use filter::{
-    ACCEL_BIAS, ALPHA, ALPHA_RATE, Channel, Covariance, Filter, FixAt, GYRO_BIAS, HEADING, PIVOT,
-    Q_R, Q_R_RATE, SHELL, State, Step, V, X, Y,
+    ACCEL_BIAS, ALPHA, ALPHA_RATE, Body, Channel, Covariance, Filter, FixAt, GYRO_BIAS, HEADING,
+    PIVOT, Q_R, Q_R_RATE, SHELL, State, Step, V, X, Y,
 };
 use history::{History, Slot};
 use intake::{Intake, Usable};
@@ -39,8 +39,7 @@ pub use intake::SensorHealth;
 /// The onboard estimator of one robot.
 #[derive(Clone, Debug)]
 pub struct Estimator {
-    radius: f64,
-    gravity: f64,
+    body: Body,
     config: EstimatorConfig,
     /// `None` until the first frame whose sensors all answer.
     running: Option<Running>,
@@ -148,8 +147,10 @@ impl Estimator {
     /// An estimator for a robot with these parameters (radius and gravity are used) that starts as `config` says.
     pub fn new(params: &RobotParams, config: EstimatorConfig) -> Self {
         Self {
-            radius: params.r,
-            gravity: params.g,
+            body: Body {
+                radius: params.r,
+                gravity: params.g,
+            },
             config,
             running: None,
             elsewhere: None,
@@ -202,7 +203,7 @@ impl Estimator {
             .theta_r
             .step(dt, usable.theta.map(|[theta_r, _]| theta_r));
         let slot = running.history.push(m.stamp, step);
-        let gates = slot.filter.step(&step, self.radius, &self.config);
+        let gates = slot.filter.step(&step, &self.body, &self.config);
 
         let rejected = |channel: Channel| gates.rejected[channel as usize];
         let reopened = |channel: Channel| gates.reopened[channel as usize];
@@ -452,7 +453,7 @@ impl Estimator {
         for i in 0..3 {
             sigma[GYRO_BIAS + i] = config.gyro_bias;
         }
-        for i in 0..2 {
+        for i in 0..3 {
             sigma[ACCEL_BIAS + i] = config.accel_bias;
         }
         if let Some((filter, away)) = &before {
@@ -467,7 +468,7 @@ impl Estimator {
                 .sigma(HEADING)
                 .hypot(turned)
                 .min(core::f64::consts::PI);
-            for place in GYRO_BIAS..ACCEL_BIAS + 2 {
+            for place in GYRO_BIAS..ACCEL_BIAS + 3 {
                 x[place] = filter.x[place];
                 sigma[place] = filter.sigma(place);
             }
@@ -477,10 +478,10 @@ impl Estimator {
         x[Q_R_RATE] = -rates[0];
         x[ALPHA_RATE] = -rates[1];
         // v = R cos q_r (θ̇_p − α̇) and φ̇ from the gyro; accelerations unknown.
-        x[V] = self.radius * (m.theta_p_rate - x[ALPHA_RATE]);
+        x[V] = self.body.radius * (m.theta_p_rate - x[ALPHA_RATE]);
         let left = x[V] * rates[2] - (accel[1] - x[ACCEL_BIAS + 1]);
-        x[Q_R] = (left / self.gravity).clamp(-1.0, 1.0).asin();
-        x[ALPHA] = ((accel[0] - x[ACCEL_BIAS]) / self.gravity)
+        x[Q_R] = (left / self.body.gravity).clamp(-1.0, 1.0).asin();
+        x[ALPHA] = ((accel[0] - x[ACCEL_BIAS]) / self.body.gravity)
             .clamp(-1.0, 1.0)
             .asin();
         x[SHELL] = theta[1] - x[ALPHA];
@@ -494,14 +495,14 @@ impl Estimator {
         let unknown = if still {
             config.accel_noise
         } else {
-            MOVING_SIGMA * self.gravity
+            MOVING_SIGMA * self.body.gravity
         };
-        sigma[Q_R] = unknown.hypot(sigma[ACCEL_BIAS + 1]) / self.gravity;
-        sigma[ALPHA] = unknown.hypot(sigma[ACCEL_BIAS]) / self.gravity;
+        sigma[Q_R] = unknown.hypot(sigma[ACCEL_BIAS + 1]) / self.body.gravity;
+        sigma[ALPHA] = unknown.hypot(sigma[ACCEL_BIAS]) / self.body.gravity;
         let mut p = Covariance::from_diagonal(&sigma.component_mul(&sigma));
         // Gravity tells lean and bias together: q_r is wrong by +b/g, α by −b/g.
         for (angle, bias, sign) in [(Q_R, ACCEL_BIAS + 1, 1.0), (ALPHA, ACCEL_BIAS, -1.0)] {
-            let shared = sign * sigma[bias] * sigma[bias] / self.gravity;
+            let shared = sign * sigma[bias] * sigma[bias] / self.body.gravity;
             p[(angle, bias)] = shared;
             p[(bias, angle)] = shared;
         }
@@ -564,7 +565,7 @@ impl Estimator {
             sigma: fix.sigma.max(FIX_SIGMA_MIN).hypot(held),
             ahead,
         };
-        let radius = self.radius;
+        let radius = self.body.radius;
 
         if let Some(alignment) = &mut running.alignment {
             let found = alignment.on_fix(&mut running.history, age, &at, radius);
@@ -597,7 +598,7 @@ impl Estimator {
         let slot = running.history.slot_mut(age);
         slot.filter.fuse_fix(&at, radius);
         slot.fix = Some(at);
-        running.history.replay_after(age, radius, &self.config);
+        running.history.replay_after(age, &self.body, &self.config);
         outcome
     }
 }

@@ -1,4 +1,4 @@
-//! The extended Kalman filter: fifteen states, one sensor frame at a time.
+//! The extended Kalman filter: sixteen states, one sensor frame at a time.
 //!
 //! The accelerometer drives the speeds of the centre, so that gravity enters through them: a wrong lean would let the predicted
 //! R q̇_r run away from the gyro's, a wrong pitch the predicted v from the encoder's. No acceleration is ever formed by differencing
@@ -10,7 +10,7 @@ use nalgebra::{Rotation2, SMatrix, SVector, Vector2};
 use super::config::EstimatorConfig;
 
 /// Number of states.
-pub(super) const STATES: usize = 15;
+pub(super) const STATES: usize = 16;
 
 // Places of the states in the vector.
 /// Roll q_r [rad].
@@ -35,7 +35,7 @@ pub(super) const X: usize = 8;
 pub(super) const Y: usize = 9;
 /// Gyro biases, forward, left, up [rad/s].
 pub(super) const GYRO_BIAS: usize = 10;
-/// Accelerometer biases, forward and left [m/s²].
+/// Accelerometer biases, forward, left, up [m/s²]. The upward one would pass for a roll that grows with the lean.
 pub(super) const ACCEL_BIAS: usize = 13;
 
 pub(super) type State = SVector<f64, STATES>;
@@ -70,6 +70,15 @@ pub(super) enum Channel {
 pub(super) struct Gates {
     pub(super) rejected: [bool; 4],
     pub(super) reopened: [bool; 4],
+}
+
+/// What the filter knows of the robot.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Body {
+    /// Radius of the sphere, R [m].
+    pub(super) radius: f64,
+    /// Gravity, g [m/s²].
+    pub(super) gravity: f64,
 }
 
 /// State and covariance at the stamp of one frame.
@@ -107,6 +116,8 @@ struct Trig {
 struct Motion {
     /// Horizontal acceleration forward, v̇ − R q̇_r φ̇ [m/s²].
     forward: f64,
+    /// Horizontal acceleration to the left, R q̈_r + v φ̇ [m/s²].
+    left: f64,
     /// Specific force across the lateral axis, upward in its plane [m/s²].
     up: f64,
     /// Vertical specific force: g on a flat floor [m/s²].
@@ -129,14 +140,15 @@ impl Filter {
     }
 
     /// Carries the filter over one frame: prediction to its stamp, then its measurements.
-    pub(super) fn step(&mut self, step: &Step, radius: f64, config: &EstimatorConfig) -> Gates {
+    pub(super) fn step(&mut self, step: &Step, body: &Body, config: &EstimatorConfig) -> Gates {
+        let radius = body.radius;
         // A gap is crossed in short strides, so that the midpoint rule holds.
         let strides = (step.dt / STRIDE_MAX).ceil().max(1.0);
         let unknown_force = step.accel.is_none() || step.dt > 2.5 * config.sample_interval;
         for _ in 0..strides as u32 {
             self.predict(step.dt / strides, step.accel, unknown_force, radius, config);
         }
-        self.correct(step, radius, config)
+        self.correct(step, body, config)
     }
 
     /// Prediction over `dt` [s] by the midpoint rule, and P = F P Fᵀ + Q.
@@ -191,6 +203,11 @@ impl Filter {
             (Q_R_RATE, PIVOT, -by_r * v_mid),
             (Q_R_RATE, ACCEL_BIAS, -known / radius * t.sin_a * t.sin_r),
             (Q_R_RATE, ACCEL_BIAS + 1, -known / radius * t.cos_r),
+            (
+                Q_R_RATE,
+                ACCEL_BIAS + 2,
+                -known / radius * t.cos_a * t.sin_r,
+            ),
             (ALPHA, ALPHA_RATE, dt),
             (HEADING, V, dt * yaw_by_v),
             (HEADING, Q_R, dt * yaw_by_q_r),
@@ -204,6 +221,7 @@ impl Filter {
             (V, V, sway * yaw_by_v),
             (V, PIVOT, sway),
             (V, ACCEL_BIAS, -known * t.cos_a),
+            (V, ACCEL_BIAS + 2, known * t.sin_a),
             (X, V, dt * cos_h),
             (X, Q_R_RATE, -dt * radius * sin_h),
             (X, HEADING, -dt * y_rate),
@@ -246,7 +264,7 @@ impl Filter {
         for (first, count, walk) in [
             (X, 2, config.slip),
             (GYRO_BIAS, 3, config.gyro_bias_walk),
-            (ACCEL_BIAS, 2, config.accel_bias_walk),
+            (ACCEL_BIAS, 3, config.accel_bias_walk),
         ] {
             for i in first..first + count {
                 p[(i, i)] += walk * walk * dt;
@@ -259,17 +277,13 @@ impl Filter {
     /// Gyro, from W = −α̇ n − q̇_r e_f + φ̇ e_z with n the long axis:
     /// ω_x = −q̇_r cos α + φ̇ cos q_r sin α,  ω_y = −α̇ − φ̇ sin q_r,  ω_z = q̇_r sin α + φ̇ cos q_r cos α.
     /// Encoder: θ_p = φ_s + α.
-    fn correct(&mut self, step: &Step, radius: f64, config: &EstimatorConfig) -> Gates {
+    fn correct(&mut self, step: &Step, body: &Body, config: &EstimatorConfig) -> Gates {
+        let radius = body.radius;
         let x = self.x;
         let t = Trig::of(x[Q_R], x[ALPHA]);
         let (q_r_rate, v) = (x[Q_R_RATE], x[V]);
         let mut correction = Correction::of(self);
 
-        if let Some(theta_p) = step.theta_p {
-            let residual = theta_p - x[SHELL] - x[ALPHA];
-            let h = [(SHELL, 1.0), (ALPHA, 1.0)];
-            correction.gated(Channel::Encoder, &h, residual, square(config.encoder_noise));
-        }
         if let Some(gyro) = step.gyro {
             let noise = square(config.gyro_noise);
             // φ̇ cos q_r = v sin q_r/R + pivot cos q_r, and its derivative with respect to q_r.
@@ -311,6 +325,30 @@ impl Filter {
                 (GYRO_BIAS + 2, 1.0),
             ];
             correction.gated(Channel::GyroUp, &h, gyro[2] - up, noise);
+        }
+        if let Some(theta_p) = step.theta_p {
+            let residual = theta_p - x[SHELL] - x[ALPHA];
+            let h = [(SHELL, 1.0), (ALPHA, 1.0)];
+            correction.gated(Channel::Encoder, &h, residual, square(config.encoder_noise));
+        }
+        if step.accel.is_some() {
+            // The floor is flat: the vertical specific force is g, and what is left over is the upward bias.
+            let m = Motion::of(&x, &t, q_r_rate, v, step.accel, radius);
+            let h = [
+                (Q_R, -m.left),
+                (ALPHA, m.forward * t.cos_r),
+                (ACCEL_BIAS, -t.sin_a * t.cos_r),
+                (ACCEL_BIAS + 1, t.sin_r),
+                (ACCEL_BIAS + 2, -t.cos_a * t.cos_r),
+            ];
+            let residual = body.gravity - m.vertical;
+            if residual.abs() < BUMP {
+                correction.plain(
+                    &h,
+                    residual,
+                    square(config.floor_bumps.hypot(config.accel_noise)),
+                );
+            }
         }
         if step.at_rest {
             // Zero rates: what the gyro still shows is its bias.
@@ -456,6 +494,7 @@ impl Motion {
         let Some([f_x, f_y, f_z]) = accel else {
             return Self {
                 forward: 0.0,
+                left: 0.0,
                 up: 0.0,
                 vertical: 0.0,
                 yaw_rate,
@@ -464,11 +503,13 @@ impl Motion {
             };
         };
         let (f_x, f_y) = (f_x - x[ACCEL_BIAS], f_y - x[ACCEL_BIAS + 1]);
+        let f_z = f_z - x[ACCEL_BIAS + 2];
         let forward = f_x * t.cos_a - f_z * t.sin_a;
         let up = f_x * t.sin_a + f_z * t.cos_a;
         let left = up * t.sin_r + f_y * t.cos_r;
         Self {
             forward,
+            left,
             up,
             vertical: up * t.cos_r - f_y * t.sin_r,
             yaw_rate,
@@ -509,7 +550,7 @@ impl<'a> Correction<'a> {
         let mut s = dot(h, &p_h) + variance;
         let innovation = residual - dot(h, &self.dx);
         let streak = &mut self.filter.streaks[channel as usize];
-        if innovation * innovation <= GATE * s {
+        if innovation * innovation <= channel.gate() * s {
             *streak = 0;
         } else if *streak < STREAK_MAX {
             *streak += 1;
@@ -543,6 +584,17 @@ impl<'a> Correction<'a> {
 }
 
 impl Channel {
+    /// Gate on the squared innovation over its variance.
+    ///
+    /// Six standard deviations are beyond any white noise. The swing's acceleration is no white noise: full torque, 40 rad/s²,
+    /// must pass at once, and shows in the gyro's left axis and in the encoder.
+    fn gate(self) -> f64 {
+        match self {
+            Self::GyroForward | Self::GyroUp => 36.0,
+            Self::GyroLeft | Self::Encoder => 144.0,
+        }
+    }
+
     fn opened_state(self) -> usize {
         match self {
             Self::GyroForward => Q_R_RATE,
@@ -592,8 +644,8 @@ fn square(x: f64) -> f64 {
 const ANGLE_MAX: f64 = 1.45;
 /// Longest stride of the prediction [s].
 const STRIDE_MAX: f64 = 0.01;
-/// Gate on the squared innovation over its variance: six standard deviations, beyond any white noise.
-const GATE: f64 = 36.0;
+/// Vertical acceleration beyond which the floor is not flat [m/s²].
+const BUMP: f64 = 1.0;
 /// Frames that a gate refuses in a row before the channel is believed.
 const STREAK_MAX: u8 = 3;
 /// Density of the force that nobody measured in a gap, per mass [m/s²/√Hz].
