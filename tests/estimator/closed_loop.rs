@@ -14,7 +14,7 @@ use sphere_sim::sensor::{PositionSource, Sensors};
 use crate::motion::{Motion, Sensing, Truth, stamp};
 
 /// Drives the plant along a motion's v and q_r for `duration` [s]; `on_frame` sees every frame after the estimator took it.
-pub fn drive(
+pub(crate) fn drive(
     estimator: &mut Estimator,
     params: &RobotParams,
     disturbance: &Disturbance,

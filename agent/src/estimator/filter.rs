@@ -177,7 +177,7 @@ impl Filter {
         let (sin_h, cos_h) = heading_mid.sin_cos();
         let x_rate = v_mid * cos_h - radius * q_r_rate_mid * sin_h;
         let y_rate = v_mid * sin_h + radius * q_r_rate_mid * cos_h;
-        let pivot_kept = (-dt / config.pivot_time).exp();
+        let pivot_kept = config.pivot_time / (config.pivot_time + dt);
 
         x[Q_R] += dt * q_r_rate_mid;
         x[Q_R_RATE] += dt * m.q_r_accel;
@@ -231,7 +231,8 @@ impl Filter {
         ];
         // P is symmetric: (P Fᵀ)ᵀ = F P, and (F P) Fᵀ is symmetric again.
         let f_p = times_transition(&self.p, &transition).transpose();
-        self.p = symmetric(&times_transition(&f_p, &transition));
+        self.p = times_transition(&f_p, &transition);
+        make_symmetric(&mut self.p);
         self.add_process_noise(dt, unknown_force, radius, config);
     }
 
@@ -342,12 +343,9 @@ impl Filter {
                 (ACCEL_BIAS + 2, -t.cos_a * t.cos_r),
             ];
             let residual = body.gravity - m.vertical;
+            let noise = square(config.floor_bumps) + square(config.accel_noise);
             if residual.abs() < BUMP {
-                correction.plain(
-                    &h,
-                    residual,
-                    square(config.floor_bumps.hypot(config.accel_noise)),
-                );
+                correction.plain(&h, residual, noise);
             }
         }
         if step.at_rest {
@@ -567,11 +565,11 @@ impl<'a> Correction<'a> {
     }
 
     fn fuse(&mut self, p_h: &State, innovation: f64, s: f64) {
-        self.dx += p_h * (innovation / s);
-        let columns = &mut self.filter.p.data.0;
-        for (column, weight) in columns.iter_mut().zip(p_h.iter()) {
-            let weight = weight / s;
-            for (entry, other) in column.iter_mut().zip(p_h.iter()) {
+        let gain = p_h / s;
+        self.dx += gain * innovation;
+        let (gain, p_h) = (&gain.data.0[0], &p_h.data.0[0]);
+        for (column, weight) in self.filter.p.data.0.iter_mut().zip(gain) {
+            for (entry, other) in column.iter_mut().zip(p_h) {
                 *entry -= weight * other;
             }
         }
@@ -618,14 +616,20 @@ fn times_transition(a: &Covariance, transition: &[(usize, usize, f64)]) -> Covar
 }
 
 /// (A + Aᵀ)/2: rounding must not make a covariance lopsided.
-fn symmetric(a: &Covariance) -> Covariance {
-    (a + a.transpose()) * 0.5
+fn make_symmetric(a: &mut Covariance) {
+    for i in 0..STATES {
+        for j in 0..i {
+            let mean = 0.5 * (a[(i, j)] + a[(j, i)]);
+            a[(i, j)] = mean;
+            a[(j, i)] = mean;
+        }
+    }
 }
 
 fn times(p: &Covariance, h: &[(usize, f64)]) -> State {
     let mut sum = State::zeros();
     for &(state, weight) in h {
-        for (entry, value) in sum.iter_mut().zip(&p.data.0[state]) {
+        for (entry, value) in sum.data.0[0].iter_mut().zip(&p.data.0[state]) {
             *entry += weight * value;
         }
     }
