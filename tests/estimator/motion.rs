@@ -400,7 +400,13 @@ impl Noise {
             }
         };
         let theta = [read(a.beta.f + a.q_r.f), read(shell + a.alpha.f)];
-        let before = self.theta.replace(theta).unwrap_or(theta);
+        // The first frame reports the rates that an earlier one would have given.
+        let rates = [
+            a.beta.d + a.q_r.d,
+            a.alpha.d + a.v.f / (RADIUS * a.q_r.f.cos()),
+        ];
+        let earlier = [theta[0] - FRAME * rates[0], theta[1] - FRAME * rates[1]];
+        let before = self.theta.replace(theta).unwrap_or(earlier);
         Measurement {
             stamp: stamp(t),
             gyro: gyro.into(),

@@ -88,6 +88,8 @@ pub(super) struct Filter {
     pub(super) p: Covariance,
     /// Consecutive refusals of each channel.
     streaks: [u8; 4],
+    /// Time for which pivoting still counts as possible: more than 0 from a pivot until it has been small for a while [s].
+    pivoting: f64,
 }
 
 /// A position fix brought to the stamp of a frame.
@@ -136,6 +138,7 @@ impl Filter {
             x,
             p,
             streaks: [0; 4],
+            pivoting: 0.0,
         }
     }
 
@@ -251,7 +254,16 @@ impl Filter {
         }
         let roll = force / (radius * radius);
         let swing = config.alpha_accel * config.alpha_accel;
-        let pivot = 2.0 * config.pivot_rate * config.pivot_rate / config.pivot_time;
+        let mut pivot = 2.0 * config.pivot_rate * config.pivot_rate / config.pivot_time;
+        if self.pivoting > 0.0 {
+            pivot += PIVOT_ACCEL * PIVOT_ACCEL;
+            let turning = self.x[PIVOT].abs() > PIVOT_OVER;
+            self.pivoting = if turning {
+                PIVOT_LINGERS
+            } else {
+                self.pivoting - dt
+            };
+        }
         let p = &mut self.p;
         for (angle, rate, density) in [(Q_R, Q_R_RATE, roll), (ALPHA, ALPHA_RATE, swing)] {
             // White acceleration through a double integrator.
@@ -556,6 +568,9 @@ impl<'a> Correction<'a> {
             return;
         } else {
             self.gates.reopened[channel as usize] = true;
+            if channel == Channel::GyroUp {
+                self.filter.pivoting = PIVOT_LINGERS;
+            }
             let opened = channel.opened_state();
             self.filter.p[(opened, opened)] += innovation * innovation;
             p_h = times(&self.filter.p, h);
@@ -646,6 +661,12 @@ fn square(x: f64) -> f64 {
 
 /// Angle beyond which tan q_r means nothing [rad]: 83°.
 const ANGLE_MAX: f64 = 1.45;
+/// Density of the pivot's acceleration while the shell pivots: the gyro alone tells the heading [rad/s²/√Hz].
+const PIVOT_ACCEL: f64 = 2.0;
+/// Pivoting slower than this is over [rad/s].
+const PIVOT_OVER: f64 = 0.03;
+/// For so long it may come back [s].
+const PIVOT_LINGERS: f64 = 0.5;
 /// Longest stride of the prediction [s].
 const STRIDE_MAX: f64 = 0.01;
 /// Vertical acceleration beyond which the floor is not flat [m/s²].
