@@ -1,4 +1,4 @@
-//! How accurate the onboard estimator is: MODEL §9's promises, on made-up motions whose truth is known exactly and on the plant.
+//! How accurate the onboard estimator is: its promises, on made-up motions whose truth is known exactly and on the plant.
 //!
 //! Bounds are the worst figure of the seeds below with a fifth to spare, or a stated promise where that is tighter (position
 //! 8 mm RMS with fixes, dead reckoning 2 % of the path). `--nocapture` prints the figures of every seed.
@@ -78,7 +78,7 @@ fn assert_fix_refusals(refused: u64, runs: u64) {
 
 #[test]
 fn motion_without_noise_is_followed() {
-    // MODEL §9: the equations are exact. What is left is the midpoint rule over 5 ms, and the lag of α̇ behind an α̈ that no
+    // The equations are exact. What is left is the midpoint rule over 5 ms, and the lag of α̇ behind an α̈ that no
     // sensor feels: 108 °/s² RMS in both motions, so that a lag of 1 ms is 0.11 °/s.
     for (name, motion) in MOTIONS {
         let (estimator, e) = follow(motion, &Sensing::ideal());

@@ -41,7 +41,7 @@ fn garbage_values_are_counted_and_do_not_spread() {
     let mut k = 0;
     let events = changed(usual(1, 60.0), |t, mut m| {
         let frame = (t * 200.0).round() as usize;
-        if frame > 0 && frame % 7 == 0 {
+        if frame > 0 && frame.is_multiple_of(7) {
             let value = garbage[k % garbage.len()];
             match k % 10 {
                 i @ 0..3 => m.gyro[i] = value,
@@ -91,7 +91,7 @@ fn plausible_spikes_are_refused_by_the_gates() {
     let mut spikes = 0;
     let events = changed(usual(2, 60.0), |t, mut m| {
         let frame = (t * 200.0).round() as usize;
-        if frame > 1000 && frame % 100 == 0 {
+        if frame > 1000 && frame.is_multiple_of(100) {
             spikes += 1;
             match spikes % 4 {
                 i @ 0..3 => m.gyro[i] += 10.0,
@@ -215,7 +215,8 @@ fn lost_frames_are_bridged() {
     let mut random = ChaCha8Rng::seed_from_u64(4);
     let events = changed(usual(4, 60.0), |t, m| {
         let lost = t > 1.0 && random.random_bool(0.2);
-        (!lost && !(t > 5.0 && t % 5.0 < 0.3)).then_some(m)
+        let hole = t > 5.0 && t % 5.0 < 0.3;
+        (!lost && !hole).then_some(m)
     });
     let mut estimator = estimator(EstimatorConfig::default());
     let mut errors = Errors::default();
@@ -266,11 +267,11 @@ fn a_board_that_restarts_its_clock_is_followed() {
         .into_iter()
         .map(|event| match event {
             Event::Frame(mut m, truth) if truth.t >= 20.0 => {
-                m.stamp = m.stamp + back;
+                m.stamp += back;
                 Event::Frame(m, truth)
             }
             Event::Fix(mut fix) if fix.stamp >= motion::stamp(20.0) => {
-                fix.stamp = fix.stamp + back;
+                fix.stamp += back;
                 Event::Fix(fix)
             }
             other => other,
@@ -390,6 +391,53 @@ fn a_pivot_is_believed_to_the_gyro() {
         assert!(estimator.counters().pivots > 0);
         assert!(error.abs() < 2.0 * DEGREE, "seed {seed}");
     }
+}
+
+#[test]
+fn a_restart_waits_for_all_sensors_and_keeps_the_pose() {
+    // After an outage the IMU stays silent for another second; the pose must not fall back to where the robot was switched on.
+    let events = changed(usual(8, 40.0), |t, mut m| {
+        m.status.imu_ok = !(22.0..23.0).contains(&t);
+        (!(20.0..22.0).contains(&t)).then_some(m)
+    });
+    let mut estimator = estimator(EstimatorConfig::default());
+    for event in &events {
+        feed_any(&mut estimator, event);
+        if let Event::Frame(_, truth) = event {
+            // 3 s at up to 0.7 m/s without a usable frame.
+            assert!(position_error(&estimator, truth) < 2.5, "at {} s", truth.t);
+        }
+    }
+    assert_eq!(estimator.counters().restarts, 1);
+    let Some(Event::Frame(_, truth)) = events.iter().rfind(|e| matches!(e, Event::Frame(..)))
+    else {
+        panic!("no frames");
+    };
+    assert!(position_error(&estimator, truth) < 0.03);
+}
+
+#[test]
+fn a_robot_on_its_side_restarts_and_keeps_a_finite_pose() {
+    // Rolled over at 5 rad/s for two seconds, which the equations cannot follow.
+    let events = changed(usual(9, 40.0), |t, mut m| {
+        if (20.0..22.0).contains(&t) {
+            m.gyro[0] = -5.0;
+            m.accel = [0.0, -9.81, 0.0];
+        }
+        Some(m)
+    });
+    let mut estimator = estimator(EstimatorConfig::default());
+    for event in &events {
+        feed_any(&mut estimator, event);
+        assert!(is_finite(&estimator));
+    }
+    println!("{:?}", estimator.counters());
+    let Some(Event::Frame(_, truth)) = events.iter().rfind(|e| matches!(e, Event::Frame(..)))
+    else {
+        panic!("no frames");
+    };
+    assert!((estimator.state().q_r - truth.state.q_r).abs() < 1.0 * DEGREE);
+    assert!(position_error(&estimator, truth) < 0.05);
 }
 
 fn feed_any(estimator: &mut Estimator, event: &Event) {

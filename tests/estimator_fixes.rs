@@ -70,7 +70,9 @@ fn a_fix_between_frames_counts_at_its_own_time() {
             continue;
         };
         estimator.on_measurement(&measurement);
-        if let Some(before) = before.filter(|_| (truth.t / FRAME).round() as u64 % 20 == 0) {
+        if let Some(before) =
+            before.filter(|_| ((truth.t / FRAME).round() as u64).is_multiple_of(20))
+        {
             let fix = PositionFix {
                 stamp: stamp(0.5 * (before.t + truth.t)),
                 x: 0.5 * (before.state.x + truth.state.x),

@@ -5,9 +5,18 @@
 //! a rate, whose noise would telescope over a window; the filter weighs every window by itself. Gyro and encoder are
 //! measurements, never inputs: their noise enters once.
 
-use nalgebra::{Rotation2, SMatrix, SVector, Vector2};
+mod correction;
+mod geometry;
+mod position;
+
+use nalgebra::{SMatrix, SVector};
 
 use super::config::EstimatorConfig;
+use correction::Correction;
+use geometry::{Motion, Trig};
+
+pub(super) use correction::{Channel, Gates};
+pub(super) use position::FixAt;
 
 /// Number of states.
 pub(super) const STATES: usize = 16;
@@ -56,22 +65,6 @@ pub(super) struct Step {
     pub(super) at_rest: bool,
 }
 
-/// Scalar measurements whose innovation is gated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Channel {
-    GyroForward,
-    GyroLeft,
-    GyroUp,
-    Encoder,
-}
-
-/// Which channels a frame's gates refused, and which the filter was opened for.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Gates {
-    pub(super) rejected: [bool; 4],
-    pub(super) reopened: [bool; 4],
-}
-
 /// What the filter knows of the robot.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Body {
@@ -90,46 +83,6 @@ pub(super) struct Filter {
     streaks: [u8; 4],
     /// Time for which pivoting still counts as possible: more than 0 from a pivot until it has been small for a while [s].
     pivoting: f64,
-}
-
-/// A position fix brought to the stamp of a frame.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct FixAt {
-    /// World X and Y [m].
-    pub(super) position: [f64; 2],
-    /// Standard deviation of each axis [m].
-    pub(super) sigma: f64,
-    /// Time from the frame to the fix, mostly ≤ 0 [s].
-    pub(super) ahead: f64,
-}
-
-/// Angles' sines and cosines.
-#[derive(Clone, Copy)]
-struct Trig {
-    sin_r: f64,
-    cos_r: f64,
-    tan_r: f64,
-    sin_a: f64,
-    cos_a: f64,
-}
-
-/// The motion of the centre that a specific force means at an attitude; all zero accelerations without an accelerometer.
-#[derive(Clone, Copy)]
-struct Motion {
-    /// Horizontal acceleration forward, v̇ − R q̇_r φ̇ [m/s²].
-    forward: f64,
-    /// Horizontal acceleration to the left, R q̈_r + v φ̇ [m/s²].
-    left: f64,
-    /// Specific force across the lateral axis, upward in its plane [m/s²].
-    up: f64,
-    /// Vertical specific force: g on a flat floor [m/s²].
-    vertical: f64,
-    /// φ̇ [rad/s].
-    yaw_rate: f64,
-    /// v̇ [m/s²].
-    v_rate: f64,
-    /// q̈_r [rad/s²].
-    q_r_accel: f64,
 }
 
 impl Filter {
@@ -369,72 +322,6 @@ impl Filter {
         correction.finish()
     }
 
-    /// Squared innovation of a fix over its variance: chi-square with two degrees of freedom if all is well.
-    pub(super) fn fix_distance(&self, fix: &FixAt, radius: f64) -> f64 {
-        let (residual, [h_x, h_y]) = self.fix_model(fix, radius);
-        let (p_x, p_y) = (times(&self.p, &h_x), times(&self.p, &h_y));
-        let noise = square(fix.sigma);
-        let s_xx = dot(&h_x, &p_x) + noise;
-        let s_xy = dot(&h_y, &p_x);
-        let s_yy = dot(&h_y, &p_y) + noise;
-        let [r_x, r_y] = residual;
-        (s_yy * r_x * r_x - 2.0 * s_xy * r_x * r_y + s_xx * r_y * r_y) / (s_xx * s_yy - s_xy * s_xy)
-    }
-
-    /// Fuses a position fix, without a gate.
-    pub(super) fn fuse_fix(&mut self, fix: &FixAt, radius: f64) {
-        let (residual, h) = self.fix_model(fix, radius);
-        let mut correction = Correction::of(self);
-        for (h, residual) in h.iter().zip(residual) {
-            correction.plain(h, residual, square(fix.sigma));
-        }
-        correction.finish();
-    }
-
-    /// Forgets where the robot is, so far as the fix says: its innovation counts as one standard deviation.
-    pub(super) fn reopen_position(&mut self, fix: &FixAt, radius: f64, heading_sigma: f64) {
-        let (residual, _) = self.fix_model(fix, radius);
-        self.p[(X, X)] += square(residual[0]);
-        self.p[(Y, Y)] += square(residual[1]);
-        self.p[(HEADING, HEADING)] += square(heading_sigma);
-    }
-
-    /// Where the centre was `ahead` [s] from the frame, the speed held.
-    pub(super) fn position_at(&self, ahead: f64, radius: f64) -> Vector2<f64> {
-        let x = &self.x;
-        let (sin_h, cos_h) = x[HEADING].sin_cos();
-        let (forward, left) = (ahead * x[V], ahead * radius * x[Q_R_RATE]);
-        Vector2::new(
-            x[X] + forward * cos_h - left * sin_h,
-            x[Y] + forward * sin_h + left * cos_h,
-        )
-    }
-
-    /// Turns the pose about `from` and shifts that point to `to`.
-    pub(super) fn turn_pose(
-        &mut self,
-        turn: &Rotation2<f64>,
-        from: Vector2<f64>,
-        to: Vector2<f64>,
-    ) {
-        let position = turn * (Vector2::new(self.x[X], self.x[Y]) - from) + to;
-        (self.x[X], self.x[Y]) = (position.x, position.y);
-        self.x[HEADING] += turn.angle();
-    }
-
-    /// Gives the pose new standard deviations that owe nothing to the other states.
-    pub(super) fn restart_pose(&mut self, position_sigma: f64, heading_sigma: f64) {
-        for (place, sigma) in [
-            (X, position_sigma),
-            (Y, position_sigma),
-            (HEADING, heading_sigma),
-        ] {
-            self.p.fill_row(place, 0.0);
-            self.p.fill_column(place, 0.0);
-            self.p[(place, place)] = square(sigma);
-        }
-    }
-
     /// Standard deviation of one state.
     pub(super) fn sigma(&self, place: usize) -> f64 {
         self.p[(place, place)].max(0.0).sqrt()
@@ -446,175 +333,6 @@ impl Filter {
             && (0..STATES).all(|i| self.p[(i, i)].is_finite())
             && self.x[Q_R].abs() < ANGLE_MAX
             && self.x[ALPHA].abs() < ANGLE_MAX
-    }
-
-    /// Innovation of a fix and its derivatives, by eq (1) from the frame to the fix.
-    fn fix_model(&self, fix: &FixAt, radius: f64) -> ([f64; 2], [[(usize, f64); 4]; 2]) {
-        let x = &self.x;
-        let (sin_h, cos_h) = x[HEADING].sin_cos();
-        let x_rate = x[V] * cos_h - radius * x[Q_R_RATE] * sin_h;
-        let y_rate = x[V] * sin_h + radius * x[Q_R_RATE] * cos_h;
-        let ahead = fix.ahead;
-        let residual = [
-            fix.position[0] - x[X] - ahead * x_rate,
-            fix.position[1] - x[Y] - ahead * y_rate,
-        ];
-        let h_x = [
-            (X, 1.0),
-            (V, ahead * cos_h),
-            (Q_R_RATE, -ahead * radius * sin_h),
-            (HEADING, -ahead * y_rate),
-        ];
-        let h_y = [
-            (Y, 1.0),
-            (V, ahead * sin_h),
-            (Q_R_RATE, ahead * radius * cos_h),
-            (HEADING, ahead * x_rate),
-        ];
-        (residual, [h_x, h_y])
-    }
-}
-
-impl Trig {
-    fn of(q_r: f64, alpha: f64) -> Self {
-        let (sin_r, cos_r) = q_r.sin_cos();
-        let (sin_a, cos_a) = alpha.sin_cos();
-        Self {
-            sin_r,
-            cos_r,
-            tan_r: sin_r / cos_r,
-            sin_a,
-            cos_a,
-        }
-    }
-}
-
-impl Motion {
-    /// The acceleration of the centre is v̇ − R q̇_r φ̇ forward and R q̈_r + v φ̇ left; the specific force adds g upward.
-    /// The frame's axes are s = cos α e_f + sin α μ, n = cos q_r e_l − sin q_r e_z and cos α μ − sin α e_f, μ = cos q_r e_z + sin q_r e_l.
-    fn of(
-        x: &State,
-        t: &Trig,
-        q_r_rate: f64,
-        v: f64,
-        accel: Option<[f64; 3]>,
-        radius: f64,
-    ) -> Self {
-        let yaw_rate = v * t.tan_r / radius + x[PIVOT];
-        let Some([f_x, f_y, f_z]) = accel else {
-            return Self {
-                forward: 0.0,
-                left: 0.0,
-                up: 0.0,
-                vertical: 0.0,
-                yaw_rate,
-                v_rate: 0.0,
-                q_r_accel: 0.0,
-            };
-        };
-        let (f_x, f_y) = (f_x - x[ACCEL_BIAS], f_y - x[ACCEL_BIAS + 1]);
-        let f_z = f_z - x[ACCEL_BIAS + 2];
-        let forward = f_x * t.cos_a - f_z * t.sin_a;
-        let up = f_x * t.sin_a + f_z * t.cos_a;
-        let left = up * t.sin_r + f_y * t.cos_r;
-        Self {
-            forward,
-            left,
-            up,
-            vertical: up * t.cos_r - f_y * t.sin_r,
-            yaw_rate,
-            v_rate: forward + radius * q_r_rate * yaw_rate,
-            q_r_accel: (left - v * yaw_rate) / radius,
-        }
-    }
-}
-
-/// One batch of scalar measurements with independent noise, fused one after the other.
-struct Correction<'a> {
-    filter: &'a mut Filter,
-    /// Sum of the corrections so far; the state moves once, at the end, because all derivatives belong to the same point.
-    dx: State,
-    gates: Gates,
-}
-
-impl<'a> Correction<'a> {
-    fn of(filter: &'a mut Filter) -> Self {
-        Self {
-            filter,
-            dx: State::zeros(),
-            gates: Gates::default(),
-        }
-    }
-
-    /// Fuses one measurement: K = P hᵀ/s, P −= K s Kᵀ.
-    fn plain(&mut self, h: &[(usize, f64)], residual: f64, variance: f64) {
-        let p_h = times(&self.filter.p, h);
-        let s = dot(h, &p_h) + variance;
-        self.fuse(&p_h, residual - dot(h, &self.dx), s);
-    }
-
-    /// Fuses one measurement unless its innovation is beyond the gate. A channel that stays beyond it for three frames is believed:
-    /// the state it measures most directly is opened to it (a pivot, a push, an encoder that restarted).
-    fn gated(&mut self, channel: Channel, h: &[(usize, f64)], residual: f64, variance: f64) {
-        let mut p_h = times(&self.filter.p, h);
-        let mut s = dot(h, &p_h) + variance;
-        let innovation = residual - dot(h, &self.dx);
-        let streak = &mut self.filter.streaks[channel as usize];
-        if innovation * innovation <= channel.gate() * s {
-            *streak = 0;
-        } else if *streak < STREAK_MAX {
-            *streak += 1;
-            self.gates.rejected[channel as usize] = true;
-            return;
-        } else {
-            self.gates.reopened[channel as usize] = true;
-            if channel == Channel::GyroUp {
-                self.filter.pivoting = PIVOT_LINGERS;
-            }
-            let opened = channel.opened_state();
-            self.filter.p[(opened, opened)] += innovation * innovation;
-            p_h = times(&self.filter.p, h);
-            s = dot(h, &p_h) + variance;
-        }
-        self.fuse(&p_h, innovation, s);
-    }
-
-    fn fuse(&mut self, p_h: &State, innovation: f64, s: f64) {
-        let gain = p_h / s;
-        self.dx += gain * innovation;
-        let (gain, p_h) = (&gain.data.0[0], &p_h.data.0[0]);
-        for (column, weight) in self.filter.p.data.0.iter_mut().zip(gain) {
-            for (entry, other) in column.iter_mut().zip(p_h) {
-                *entry -= weight * other;
-            }
-        }
-    }
-
-    fn finish(self) -> Gates {
-        self.filter.x += self.dx;
-        self.gates
-    }
-}
-
-impl Channel {
-    /// Gate on the squared innovation over its variance.
-    ///
-    /// Six standard deviations are beyond any white noise. The swing's acceleration is no white noise: full torque, 40 rad/s²,
-    /// must pass at once, and shows in the gyro's left axis and in the encoder.
-    fn gate(self) -> f64 {
-        match self {
-            Self::GyroForward | Self::GyroUp => 36.0,
-            Self::GyroLeft | Self::Encoder => 144.0,
-        }
-    }
-
-    fn opened_state(self) -> usize {
-        match self {
-            Self::GyroForward => Q_R_RATE,
-            Self::GyroLeft => ALPHA_RATE,
-            Self::GyroUp => PIVOT,
-            Self::Encoder => SHELL,
-        }
     }
 }
 
@@ -641,20 +359,6 @@ fn make_symmetric(a: &mut Covariance) {
     }
 }
 
-fn times(p: &Covariance, h: &[(usize, f64)]) -> State {
-    let mut sum = State::zeros();
-    for &(state, weight) in h {
-        for (entry, value) in sum.data.0[0].iter_mut().zip(&p.data.0[state]) {
-            *entry += weight * value;
-        }
-    }
-    sum
-}
-
-fn dot(h: &[(usize, f64)], x: &State) -> f64 {
-    h.iter().map(|&(state, weight)| weight * x[state]).sum()
-}
-
 fn square(x: f64) -> f64 {
     x * x
 }
@@ -671,7 +375,5 @@ const PIVOT_LINGERS: f64 = 0.5;
 const STRIDE_MAX: f64 = 0.01;
 /// Vertical acceleration beyond which the floor is not flat [m/s²].
 const BUMP: f64 = 1.0;
-/// Frames that a gate refuses in a row before the channel is believed.
-const STREAK_MAX: u8 = 3;
 /// Density of the force that nobody measured in a gap, per mass [m/s²/√Hz].
 const UNKNOWN_FORCE: f64 = 1.0;
