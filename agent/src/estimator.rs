@@ -1,131 +1,55 @@
 //! Where the robot is and how it moves, from raw sensor frames and late position fixes.
 //!
-//! An extended Kalman filter runs at the rate of the sensor frames (MODEL: rubber rolling, eq (1)); a position fix is fused at
-//! the frame of its stamp, and the frames since then run again, so that its delay costs nothing but 1 µs a frame.
+//! An extended Kalman filter runs at the rate of the sensor frames (rubber rolling, eq (1)); a position fix is fused at
+//! the frame of its stamp, and the frames since then run again, so that its delay costs 1 µs a frame and no accuracy.
 //!
 //! Differs from a complementary attitude filter with differenced encoders:
 //! - the specific force predicts v̇ and q̈_r exactly, with R q̇_r φ̇ and v φ̇ taken off: at 1 m/s and 10° they would pass for 2.9° of roll;
 //! - rubber rolling, φ̇ = v tan q_r/R, ties heading, roll and the upward gyro bias together; a pivot is a state that is mostly zero;
 //! - encoder *angles* are used, whose errors do not add up, not their rates.
 //!
-//! The state is that of the newest frame's stamp. Nothing is allocated after the first frame.
+//! The state is that of the newest frame's stamp. Nothing is allocated after the frame that starts it.
 
 mod alignment;
 mod config;
 mod filter;
 mod history;
 mod intake;
+mod report;
 mod rest;
+mod start;
 mod tracker;
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Matrix6, Vector2};
 use sphere_protocol::robot::RobotParams;
 use sphere_protocol::state::{Measurement, PositionFix, RobotState};
 use sphere_protocol::time::{BoardClock, Instant};
 
 use alignment::Alignment;
 use filter::{
-    ACCEL_BIAS, ALPHA, ALPHA_RATE, Channel, Covariance, Filter, FixAt, GYRO_BIAS, HEADING, PIVOT,
-    Q_R, Q_R_RATE, SHELL, State, Step, V, X, Y,
+    ALPHA, ALPHA_RATE, Body, Channel, Filter, FixAt, GYRO_BIAS, HEADING, Q_R, Q_R_RATE, Step, V, X,
+    Y,
 };
 use history::{History, Slot};
 use intake::{Intake, Usable};
 use rest::RestDetector;
+use start::{FirstFrame, MOVING_SIGMA, MOVING_SIGMA_V, first_filter};
 use tracker::JointTracker;
 
 pub use config::{EstimatorConfig, StartPose};
 pub use intake::SensorHealth;
+pub use report::{EstimatorCounters, FixOutcome, StateSigma};
 
 /// The onboard estimator of one robot.
 #[derive(Clone, Debug)]
 pub struct Estimator {
-    radius: f64,
-    gravity: f64,
+    body: Body,
     config: EstimatorConfig,
     /// `None` until the first frame whose sensors all answer.
     running: Option<Running>,
     /// Frames in a row from another stretch of time, and the stamp of the newest.
     elsewhere: Option<(Instant<BoardClock>, u32)>,
     counters: EstimatorCounters,
-}
-
-/// Standard deviations of the estimate.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StateSigma {
-    /// The larger axis of the position's ellipse [m].
-    pub position: f64,
-    /// Heading [rad].
-    pub heading: f64,
-    /// Forward speed [m/s].
-    pub v: f64,
-    /// Roll q_r [rad].
-    pub q_r: f64,
-    /// Its rate [rad/s].
-    pub q_r_rate: f64,
-    /// Swing α [rad].
-    pub alpha: f64,
-    /// Its rate [rad/s].
-    pub alpha_rate: f64,
-}
-
-/// What became of a position fix.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FixOutcome {
-    /// Fused at its stamp.
-    Fused,
-    /// Taken to find the heading, which is unknown.
-    Aligning,
-    /// Refused by the innovation gate.
-    Rejected,
-    /// Fused although the gate refused it: too many in a row had said so.
-    Reopened,
-    /// Older than the frames that are kept.
-    Late,
-    /// Newer than the newest frame by more than a frame may be.
-    Future,
-    /// Another fix was fused at that frame already.
-    Duplicate,
-    /// Not a number, no standard deviation, or no frame was seen yet.
-    Invalid,
-}
-
-/// What the estimator refused or had to mend, counted since it was built.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub struct EstimatorCounters {
-    /// Frames used.
-    pub frames: u64,
-    /// Frames dropped: their stamp repeats, goes back, or leaps.
-    pub frames_out_of_time: u64,
-    /// Frames used after a gap of more than 2.5 sample intervals.
-    pub gaps: u64,
-    /// Starts anew after an outage or a restart of the board's clock.
-    pub restarts: u64,
-    /// Frames whose gyro was unusable.
-    pub gyro_unusable: u64,
-    /// Frames whose accelerometer was unusable.
-    pub accel_unusable: u64,
-    /// Frames whose encoders were unusable.
-    pub encoders_unusable: u64,
-    /// Gyro axes refused by their innovation gate.
-    pub gyro_rejected: u64,
-    /// Pitch encoder readings refused by their innovation gate.
-    pub encoder_rejected: u64,
-    /// Frames that opened the pivot state: the shell turned about the vertical.
-    pub pivots: u64,
-    /// Fixes fused.
-    pub fixes: u64,
-    /// Fixes refused by the innovation gate.
-    pub fixes_rejected: u64,
-    /// Times that the gate gave way to fixes that kept disagreeing.
-    pub fixes_reopened: u64,
-    /// Fixes older than the frames that are kept.
-    pub fixes_late: u64,
-    /// Fixes from the future.
-    pub fixes_future: u64,
-    /// Fixes that repeat, or share their frame with another.
-    pub fixes_duplicate: u64,
-    /// Fixes that are not numbers, or came before the first frame.
-    pub fixes_invalid: u64,
 }
 
 #[derive(Clone, Debug)]
@@ -148,8 +72,10 @@ impl Estimator {
     /// An estimator for a robot with these parameters (radius and gravity are used) that starts as `config` says.
     pub fn new(params: &RobotParams, config: EstimatorConfig) -> Self {
         Self {
-            radius: params.r,
-            gravity: params.g,
+            body: Body {
+                radius: params.r,
+                gravity: params.g,
+            },
             config,
             running: None,
             elsewhere: None,
@@ -202,7 +128,7 @@ impl Estimator {
             .theta_r
             .step(dt, usable.theta.map(|[theta_r, _]| theta_r));
         let slot = running.history.push(m.stamp, step);
-        let gates = slot.filter.step(&step, self.radius, &self.config);
+        let gates = slot.filter.step(&step, &self.body, &self.config);
 
         let rejected = |channel: Channel| gates.rejected[channel as usize];
         let reopened = |channel: Channel| gates.reopened[channel as usize];
@@ -220,20 +146,18 @@ impl Estimator {
             unusable[2] || contradicted(Channel::Encoder),
         ];
         running.intake.note(dt, bad);
+        let sound = running.history.newest().filter.is_sound();
+        self.count_unusable(&usable);
         let counters = &mut self.counters;
-        counters.gyro_unusable += u64::from(unusable[0]);
-        counters.accel_unusable += u64::from(unusable[1]);
-        counters.encoders_unusable += u64::from(unusable[2]);
         for channel in [Channel::GyroForward, Channel::GyroLeft, Channel::GyroUp] {
             counters.gyro_rejected += u64::from(rejected(channel));
         }
         counters.encoder_rejected += u64::from(rejected(Channel::Encoder));
         counters.pivots += u64::from(reopened(Channel::GyroUp));
 
-        // Finite numbers in give finite numbers out unless the attitude ran through ±90°: then nothing is left to carry on from.
-        if !running.history.newest().filter.is_sound() {
-            self.running = None;
-            self.counters.restarts += 1;
+        // Finite numbers in give finite numbers out, unless the attitude ran through ±90°: then only the pose is worth keeping.
+        if !sound {
+            self.restart_from_frame_before(m);
         }
     }
 
@@ -328,17 +252,17 @@ impl Estimator {
     }
 
     /// Covariance of (q_r, α, φ, v, X, Y) [SI], 6 × 6.
-    pub fn covariance(&self) -> nalgebra::Matrix6<f64> {
+    pub fn covariance(&self) -> Matrix6<f64> {
         let places = [Q_R, ALPHA, HEADING, V, X, Y];
         match &self.running {
             Some(running) => {
                 let p = &running.history.newest().filter.p;
-                nalgebra::Matrix6::from_fn(|i, j| p[(places[i], places[j])])
+                Matrix6::from_fn(|i, j| p[(places[i], places[j])])
             }
             None => {
                 let s = self.sigma();
                 let sigma = [s.q_r, s.alpha, s.heading, s.v, s.position, s.position];
-                nalgebra::Matrix6::from_fn(|i, j| if i == j { sigma[i] * sigma[i] } else { 0.0 })
+                Matrix6::from_fn(|i, j| if i == j { sigma[i] * sigma[i] } else { 0.0 })
             }
         }
     }
@@ -398,6 +322,12 @@ impl Estimator {
         &self.counters
     }
 
+    fn count_unusable(&mut self, usable: &Usable) {
+        self.counters.gyro_unusable += u64::from(usable.gyro.is_none());
+        self.counters.accel_unusable += u64::from(usable.accel.is_none());
+        self.counters.encoders_unusable += u64::from(usable.theta.is_none());
+    }
+
     /// A frame from before the newest one, or from long after it. Ten such in a row that follow each other are the board's new time.
     fn on_frame_elsewhere(&mut self, m: &Measurement, dt: f64) {
         let follows = self.elsewhere.is_some_and(|(stamp, _)| {
@@ -417,95 +347,49 @@ impl Estimator {
         let away = if dt > 0.0 { dt } else { 1.0 };
         let last = self
             .running
-            .take()
+            .as_ref()
             .map(|running| running.history.newest().filter.clone());
-        self.elsewhere = None;
-        self.counters.restarts += 1;
-        self.start(m, last.map(|filter| (filter, away)));
+        let started = self.start(m, last.map(|filter| (filter, away)));
+        if started {
+            self.counters.restarts += 1;
+            self.elsewhere = None;
+        } else {
+            self.elsewhere = Some((m.stamp, count));
+        }
     }
 
-    /// Starts from one frame: attitude from gravity, pose from the configuration or, after an outage of so many seconds, from
-    /// the filter before it.
-    fn start(&mut self, m: &Measurement, before: Option<(Filter, f64)>) {
+    /// Gives up the newest frame's attitude.
+    fn restart_from_frame_before(&mut self, m: &Measurement) {
+        let Some(running) = &self.running else { return };
+        let last = running.history.slot(1).filter.clone();
+        self.counters.restarts += 1;
+        if !self.start(m, Some((last.clone(), 1.0)))
+            && let Some(running) = &mut self.running
+        {
+            running.history.slot_mut(0).filter = last;
+        }
+    }
+
+    /// Starts from one frame, if all its sensors answer: attitude from gravity, pose from the configuration or, after an outage of
+    /// so many seconds, from the filter before it.
+    fn start(&mut self, m: &Measurement, before: Option<(Filter, f64)>) -> bool {
         let mut intake = Intake::new();
-        let Usable {
-            gyro: Some(gyro),
-            accel: Some(accel),
-            theta: Some(theta),
-        } = intake.check(m, 0.0)
+        let usable = intake.check(m, 0.0);
+        let (Some(gyro), Some(accel), Some(theta)) = (usable.gyro, usable.accel, usable.theta)
         else {
-            let usable = intake.check(m, 0.0);
-            self.counters.gyro_unusable += u64::from(usable.gyro.is_none());
-            self.counters.accel_unusable += u64::from(usable.accel.is_none());
-            self.counters.encoders_unusable += u64::from(usable.theta.is_none());
-            return;
+            self.count_unusable(&usable);
+            return false;
         };
         self.counters.frames += 1;
         let config = &self.config;
-        let start = &config.start;
-        let mut x = State::zeros();
-        let mut sigma = State::zeros();
-        (x[X], x[Y], x[HEADING]) = (start.x, start.y, start.heading);
-        sigma[X] = start.position_sigma;
-        sigma[Y] = start.position_sigma;
-        sigma[HEADING] = start.heading_sigma.min(core::f64::consts::PI);
-        for i in 0..3 {
-            sigma[GYRO_BIAS + i] = config.gyro_bias;
-        }
-        for i in 0..2 {
-            sigma[ACCEL_BIAS + i] = config.accel_bias;
-        }
-        if let Some((filter, away)) = &before {
-            for place in [X, Y, HEADING] {
-                x[place] = filter.x[place];
-            }
-            let ran = (filter.x[V].abs() + 0.1) * away;
-            let turned = 0.1 + 0.3 * away;
-            sigma[X] = filter.sigma(X).hypot(ran);
-            sigma[Y] = filter.sigma(Y).hypot(ran);
-            sigma[HEADING] = filter
-                .sigma(HEADING)
-                .hypot(turned)
-                .min(core::f64::consts::PI);
-            for place in GYRO_BIAS..ACCEL_BIAS + 2 {
-                x[place] = filter.x[place];
-                sigma[place] = filter.sigma(place);
-            }
-        }
-
-        let rates: [f64; 3] = core::array::from_fn(|i| gyro[i] - x[GYRO_BIAS + i]);
-        x[Q_R_RATE] = -rates[0];
-        x[ALPHA_RATE] = -rates[1];
-        // v = R cos q_r (θ̇_p − α̇) and φ̇ from the gyro; accelerations unknown.
-        x[V] = self.radius * (m.theta_p_rate - x[ALPHA_RATE]);
-        let left = x[V] * rates[2] - (accel[1] - x[ACCEL_BIAS + 1]);
-        x[Q_R] = (left / self.gravity).clamp(-1.0, 1.0).asin();
-        x[ALPHA] = ((accel[0] - x[ACCEL_BIAS]) / self.gravity)
-            .clamp(-1.0, 1.0)
-            .asin();
-        x[SHELL] = theta[1] - x[ALPHA];
-        let rate_limit = 4.0 * (config.gyro_noise + config.gyro_bias);
-        let still = rates.iter().all(|rate| rate.abs() < rate_limit) && x[V].abs() < STILL_V;
-        sigma[Q_R_RATE] = config.gyro_noise.hypot(sigma[GYRO_BIAS]);
-        sigma[ALPHA_RATE] = config.gyro_noise.hypot(sigma[GYRO_BIAS + 1]);
-        sigma[PIVOT] = config.pivot_rate;
-        sigma[SHELL] = 1.0;
-        sigma[V] = MOVING_SIGMA_V;
-        let unknown = if still {
-            config.accel_noise
-        } else {
-            MOVING_SIGMA * self.gravity
+        let first = FirstFrame {
+            gyro,
+            accel,
+            theta,
+            theta_p_rate: m.theta_p_rate,
         };
-        sigma[Q_R] = unknown.hypot(sigma[ACCEL_BIAS + 1]) / self.gravity;
-        sigma[ALPHA] = unknown.hypot(sigma[ACCEL_BIAS]) / self.gravity;
-        let mut p = Covariance::from_diagonal(&sigma.component_mul(&sigma));
-        // Gravity tells lean and bias together: q_r is wrong by +b/g, α by −b/g.
-        for (angle, bias, sign) in [(Q_R, ACCEL_BIAS + 1, 1.0), (ALPHA, ACCEL_BIAS, -1.0)] {
-            let shared = sign * sigma[bias] * sigma[bias] / self.gravity;
-            p[(angle, bias)] = shared;
-            p[(bias, angle)] = shared;
-        }
-
+        let filter = first_filter(&first, before.as_ref(), &self.body, config);
+        let heading_unknown = filter.sigma(HEADING) > config.heading_known;
         let step = Step {
             dt: 0.0,
             accel: None,
@@ -517,7 +401,7 @@ impl Estimator {
             history: History::new(Slot {
                 stamp: m.stamp,
                 step,
-                filter: Filter::new(x, p),
+                filter,
                 fix: None,
             }),
             intake,
@@ -529,10 +413,11 @@ impl Estimator {
                 config.encoder_noise,
             ),
             accel: Some(accel),
-            alignment: (sigma[HEADING] > config.heading_known).then(Alignment::default),
+            alignment: heading_unknown.then(Alignment::default),
             fix_streak: 0,
             fixes_since_reopened: FIXES_SETTLED,
         });
+        true
     }
 
     fn judge_fix(&mut self, fix: &PositionFix) -> FixOutcome {
@@ -564,7 +449,7 @@ impl Estimator {
             sigma: fix.sigma.max(FIX_SIGMA_MIN).hypot(held),
             ahead,
         };
-        let radius = self.radius;
+        let radius = self.body.radius;
 
         if let Some(alignment) = &mut running.alignment {
             let found = alignment.on_fix(&mut running.history, age, &at, radius);
@@ -597,7 +482,7 @@ impl Estimator {
         let slot = running.history.slot_mut(age);
         slot.filter.fuse_fix(&at, radius);
         slot.fix = Some(at);
-        running.history.replay_after(age, radius, &self.config);
+        running.history.replay_after(age, &self.body, &self.config);
         outcome
     }
 }
@@ -625,12 +510,6 @@ const ELSEWHERE_FRAMES: u32 = 10;
 const CONVERGED_ANGLE: f64 = 8.7e-3;
 /// Gyro bias standard deviation of a converged estimate [rad/s]: 0.03 °/s, the mean of half a second.
 const CONVERGED_BIAS: f64 = 5.5e-4;
-/// Standard deviation of angles and rates when the estimator starts in motion [rad, rad/s].
-const MOVING_SIGMA: f64 = 0.1;
-/// Standard deviation of the speed at the start [m/s].
-const MOVING_SIGMA_V: f64 = 0.03;
-/// Speed below which the estimator starts as if at rest [m/s].
-const STILL_V: f64 = 0.03;
 /// Largest coordinate of a fix [m].
 const POSITION_RANGE: f64 = 1e6;
 /// No fix is better than this [m].

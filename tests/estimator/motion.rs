@@ -3,6 +3,8 @@
 //! No dynamics: q_r, α, v and β are chosen functions of time. The geometry is written with vectors in the yaw frame, not with
 //! the estimator's component formulas.
 
+#![allow(dead_code, reason = "each test binary uses its own part")]
+
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::Vector3;
@@ -12,63 +14,86 @@ use rand_distr::{Distribution, StandardNormal};
 use sphere_protocol::state::{BoardStatus, Measurement, PositionFix, RobotState};
 use sphere_protocol::time::{Instant, Span};
 
-pub const RADIUS: f64 = 0.35;
-pub const GRAVITY: f64 = 9.81;
-pub const DEGREE: f64 = PI / 180.0;
-pub const FRAME: f64 = 0.005;
+pub(crate) const RADIUS: f64 = 0.35;
+pub(crate) const GRAVITY: f64 = 9.81;
+pub(crate) const DEGREE: f64 = PI / 180.0;
+pub(crate) const FRAME: f64 = 0.005;
 
 /// A function of time with two derivatives.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Jet {
-    pub f: f64,
-    pub d: f64,
-    pub dd: f64,
+pub(crate) struct Jet {
+    pub(crate) f: f64,
+    pub(crate) d: f64,
+    pub(crate) dd: f64,
 }
 
-/// q_r, α, v, β at an instant.
+/// q_r, α, v, β at an instant, and pivoting of the shell about the vertical.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Angles {
-    pub q_r: Jet,
-    pub alpha: Jet,
-    pub v: Jet,
-    pub beta: Jet,
+pub(crate) struct Angles {
+    pub(crate) q_r: Jet,
+    pub(crate) alpha: Jet,
+    pub(crate) v: Jet,
+    pub(crate) beta: Jet,
+    pub(crate) pivot: Jet,
 }
 
-pub type Motion = fn(f64) -> Angles;
+pub(crate) type Motion = fn(f64) -> Angles;
 
 /// Sensor errors, as DESIGN's sensor defaults times `noise`, and how the fixes come.
 #[derive(Clone, Copy, Debug)]
-pub struct Sensing {
-    pub noise: f64,
-    pub fixes: bool,
-    pub fix_delay: f64,
-    pub seed: u64,
+pub(crate) struct Sensing {
+    pub(crate) noise: f64,
+    pub(crate) fixes: bool,
+    pub(crate) fix_delay: f64,
+    pub(crate) seed: u64,
 }
 
 /// What arrives at the estimator, in order of arrival.
 #[derive(Clone, Copy, Debug)]
-pub enum Event {
+pub(crate) enum Event {
     Frame(Measurement, Truth),
     Fix(PositionFix),
 }
 
 /// The truth at a frame.
 #[derive(Clone, Copy, Debug)]
-pub struct Truth {
-    pub t: f64,
-    pub state: RobotState,
+pub(crate) struct Truth {
+    pub(crate) t: f64,
+    pub(crate) state: RobotState,
     /// Length of the path so far [m].
-    pub path: f64,
-    pub gyro_bias: [f64; 3],
+    pub(crate) path: f64,
+    pub(crate) gyro_bias: [f64; 3],
+}
+
+impl Sensing {
+    /// The default errors, with fixes 50 ms late.
+    pub(crate) fn usual(seed: u64) -> Self {
+        Self {
+            noise: 1.0,
+            fixes: true,
+            fix_delay: 0.05,
+            seed,
+        }
+    }
+
+    /// No errors, no fixes.
+    pub(crate) fn ideal() -> Self {
+        Self {
+            noise: 0.0,
+            fixes: false,
+            fix_delay: 0.0,
+            seed: 0,
+        }
+    }
 }
 
 impl Jet {
-    pub fn constant(f: f64) -> Self {
+    pub(crate) fn constant(f: f64) -> Self {
         Self { f, d: 0.0, dd: 0.0 }
     }
 
     /// amplitude · sin(ω t + phase).
-    pub fn sine(t: f64, amplitude: f64, hertz: f64, phase: f64) -> Self {
+    pub(crate) fn sine(t: f64, amplitude: f64, hertz: f64, phase: f64) -> Self {
         let w = TAU * hertz;
         let (s, c) = (w * t + phase).sin_cos();
         Self {
@@ -79,7 +104,7 @@ impl Jet {
     }
 
     /// From 0 at `from` to 1 at `from + time`, twice differentiable.
-    pub fn rise(t: f64, from: f64, time: f64) -> Self {
+    pub(crate) fn rise(t: f64, from: f64, time: f64) -> Self {
         let u = ((t - from) / time).clamp(0.0, 1.0);
         Self {
             f: u * u * u * (10.0 - 15.0 * u + 6.0 * u * u),
@@ -88,7 +113,7 @@ impl Jet {
         }
     }
 
-    pub fn plus(self, b: Self) -> Self {
+    pub(crate) fn plus(self, b: Self) -> Self {
         Self {
             f: self.f + b.f,
             d: self.d + b.d,
@@ -96,7 +121,7 @@ impl Jet {
         }
     }
 
-    pub fn times(self, b: Self) -> Self {
+    pub(crate) fn times(self, b: Self) -> Self {
         Self {
             f: self.f * b.f,
             d: self.d * b.f + self.f * b.d,
@@ -104,7 +129,7 @@ impl Jet {
         }
     }
 
-    pub fn scaled(self, k: f64) -> Self {
+    pub(crate) fn scaled(self, k: f64) -> Self {
         self.times(Self::constant(k))
     }
 }
@@ -123,11 +148,12 @@ fn unrest(t: f64) -> Angles {
         alpha: sines(&[(1.0, 0.5, 0.0), (0.5, 1.7, 1.0), (0.1, 6.0, 0.4)]),
         v: Jet::sine(t, 0.01, 0.5, 0.7),
         beta: sines(&[(2.0, 0.6, 0.9), (0.5, 2.3, 0.2)]),
+        pivot: Jet::default(),
     }
 }
 
 /// At rest for 1.5 s, then figures of eight at 0.3 to 0.7 m/s with roll within ±12°.
-pub fn lemniscate(t: f64) -> Angles {
+pub(crate) fn lemniscate(t: f64) -> Angles {
     let gate = Jet::rise(t, 1.5, 3.0);
     let u = unrest(t);
     let q_r = Jet::sine(t, 12.0 * DEGREE, 1.0 / 37.0, 0.4).plus(u.q_r);
@@ -139,11 +165,12 @@ pub fn lemniscate(t: f64) -> Angles {
         alpha: gate.times(u.alpha.plus(Jet::constant(1.0 * DEGREE))),
         v: gate.times(v),
         beta: gate.times(u.beta.plus(q_r.scaled(-0.2))),
+        pivot: Jet::default(),
     }
 }
 
 /// At rest for 1.5 s, then straight on with steps of the speed between 0.1 and 0.8 m/s.
-pub fn speed_steps(t: f64) -> Angles {
+pub(crate) fn speed_steps(t: f64) -> Angles {
     let gate = Jet::rise(t, 1.5, 1.0);
     let u = unrest(t);
     let mut v = Jet::rise(t, 1.5, 1.2).scaled(0.5);
@@ -170,11 +197,29 @@ pub fn speed_steps(t: f64) -> Angles {
         alpha: gate.times(u.alpha.plus(lead.scaled(0.385))),
         v,
         beta: gate.times(u.beta),
+        pivot: Jet::default(),
+    }
+}
+
+/// The figures of eight, but from 20 s to 24 s somebody turns the shell on the spot by 60°.
+pub(crate) fn pivoting(t: f64) -> Angles {
+    let on = Jet::rise(t, 20.0, 0.5).plus(Jet::rise(t, 23.5, 0.5).scaled(-1.0));
+    Angles {
+        pivot: on.scaled(60.0 * DEGREE / 3.5),
+        ..lemniscate(t)
+    }
+}
+
+/// Straight on at 0.5 m/s for ever, with no unrest at all.
+pub(crate) fn steady(_: f64) -> Angles {
+    Angles {
+        v: Jet::constant(0.5),
+        ..Angles::default()
     }
 }
 
 /// The events of `duration` seconds of a motion.
-pub fn events(motion: Motion, sensing: &Sensing, duration: f64) -> Vec<Event> {
+pub(crate) fn events(motion: Motion, sensing: &Sensing, duration: f64) -> Vec<Event> {
     let mut noise = Noise::new(sensing);
     let frames = (duration / FRAME).round() as usize;
     let mut events = Vec::with_capacity(frames * 21 / 20);
@@ -218,13 +263,35 @@ pub fn events(motion: Motion, sensing: &Sensing, duration: f64) -> Vec<Event> {
     events
 }
 
+/// The events of the figures of eight with the usual noise and fixes.
+pub(crate) fn usual(seed: u64, duration: f64) -> Vec<Event> {
+    events(lemniscate, &Sensing::usual(seed), duration)
+}
+
+/// The same events with every frame changed by `change`, which may drop it.
+pub(crate) fn changed(
+    events: Vec<Event>,
+    mut change: impl FnMut(f64, Measurement) -> Option<Measurement>,
+) -> Vec<Event> {
+    let frame = |event| match event {
+        Event::Frame(m, truth) => change(truth.t, m).map(|m| Event::Frame(m, truth)),
+        fix => Some(fix),
+    };
+    events.into_iter().filter_map(frame).collect()
+}
+
 /// Stamp of time `t` [s] in the board's clock, whose origin is its own.
-pub fn stamp(t: f64) -> Instant<sphere_protocol::time::BoardClock> {
+pub(crate) fn stamp(t: f64) -> Instant<sphere_protocol::time::BoardClock> {
     Instant::from_nanos(3_000_000_000) + Span::from_secs_f64(t)
 }
 
+/// φ̇ [rad/s].
+fn yaw_rate(a: &Angles) -> f64 {
+    a.v.f * a.q_r.f.tan() / RADIUS + a.pivot.f
+}
+
 /// Gyro and specific force of the frame, FLU, without error.
-pub fn inertial(a: &Angles) -> (Vector3<f64>, Vector3<f64>) {
+pub(crate) fn inertial(a: &Angles) -> (Vector3<f64>, Vector3<f64>) {
     let (forward, left, up) = (Vector3::x(), Vector3::y(), Vector3::z());
     let (sin_r, cos_r) = a.q_r.f.sin_cos();
     let long_axis = cos_r * left - sin_r * up;
@@ -235,7 +302,7 @@ pub fn inertial(a: &Angles) -> (Vector3<f64>, Vector3<f64>) {
         long_axis,
         cos_a * above - sin_a * forward,
     ];
-    let yaw_rate = a.v.f * a.q_r.f.tan() / RADIUS;
+    let yaw_rate = yaw_rate(a);
     let turn = -a.alpha.d * long_axis - a.q_r.d * forward + yaw_rate * up;
     // d/dt of v e_f + R q̇_r e_l, the yaw frame turning with φ̇.
     let velocity = a.v.f * forward + RADIUS * a.q_r.d * left;
@@ -261,7 +328,6 @@ impl Pose {
     fn advance(&mut self, motion: Motion, t: f64) {
         const PARTS: usize = 5;
         let h = FRAME / PARTS as f64;
-        let yaw_rate = |a: &Angles| a.v.f * a.q_r.f.tan() / RADIUS;
         let shell_rate = |a: &Angles| a.v.f / (RADIUS * a.q_r.f.cos());
         let simpson = |h: f64, a: f64, b: f64, c: f64| h / 6.0 * (a + 4.0 * b + c);
         for part in 0..PARTS {
@@ -334,7 +400,13 @@ impl Noise {
             }
         };
         let theta = [read(a.beta.f + a.q_r.f), read(shell + a.alpha.f)];
-        let before = self.theta.replace(theta).unwrap_or(theta);
+        // The first frame reports the rates that an earlier one would have given.
+        let rates = [
+            a.beta.d + a.q_r.d,
+            a.alpha.d + a.v.f / (RADIUS * a.q_r.f.cos()),
+        ];
+        let earlier = [theta[0] - FRAME * rates[0], theta[1] - FRAME * rates[1]];
+        let before = self.theta.replace(theta).unwrap_or(earlier);
         Measurement {
             stamp: stamp(t),
             gyro: gyro.into(),

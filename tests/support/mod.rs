@@ -17,20 +17,27 @@ pub fn golden_files(key: &str) -> Vec<(PathBuf, Value)> {
         PathBuf::from,
     );
     let entries = fs::read_dir(&dir).unwrap_or_else(|e| panic!("{}: {e}", dir.display()));
-    let mut paths: Vec<_> = entries.map(|entry| entry.expect("readable folder").path()).collect();
+    let mut paths: Vec<_> = entries
+        .map(|entry| entry.expect("readable folder").path())
+        .collect();
     paths.retain(|path| path.extension().is_some_and(|ext| ext == "json"));
     paths.sort();
     let mut found = Vec::new();
     for path in paths {
         let text = fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-        let value: Value = serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        let value: Value =
+            serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         if let Some(rows) = value.get(key).and_then(Value::as_array) {
             println!("{}: {} {key}", path.display(), rows.len());
             assert!(!rows.is_empty(), "{} has no {key}", path.display());
             found.push((path, value));
         }
     }
-    assert!(!found.is_empty(), "no golden file with `{key}` in {}", dir.display());
+    assert!(
+        !found.is_empty(),
+        "no golden file with `{key}` in {}",
+        dir.display()
+    );
     found
 }
 

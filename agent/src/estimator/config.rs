@@ -38,10 +38,13 @@ pub struct EstimatorConfig {
     pub accel_bias: f64,
     /// Random walk of each accelerometer bias [m/s²/√s]: 1e-4, slow enough to average over minutes.
     pub accel_bias_walk: f64,
+    /// Vertical acceleration on the floor's unevenness, one sample [m/s²]: 0.1.
+    pub floor_bumps: f64,
     /// Error of one encoder reading [rad]: the quantisation 2π/65536/√12.
     pub encoder_noise: f64,
     /// Density of the unknown acceleration of the swing α [rad/s²/√Hz]. The accelerometer at the sphere's centre does not feel it.
-    /// 0.6 is a torque that changes by 1 N·m from one control period to the next.
+    /// 0.2 suits torques that change by some tenths of a N·m from one control period to the next; more follows kicks sooner and
+    /// lets more gyro noise into α̇ (0.6: 0.29 °/s instead of 0.25).
     pub alpha_accel: f64,
     /// Density of the unknown jerk of the joint angle θ_r [rad/s³/√Hz]; it sets the bandwidth of the rate of β.
     pub theta_r_jerk: f64,
@@ -81,10 +84,11 @@ impl Default for EstimatorConfig {
             accel_noise: 0.05,
             accel_bias: 0.03,
             accel_bias_walk: 1e-4,
+            floor_bumps: 0.1,
             encoder_noise: TAU / 65536.0 * 0.288_675,
-            alpha_accel: 0.6,
+            alpha_accel: 0.2,
             theta_r_jerk: 50.0,
-            pivot_rate: 1e-3,
+            pivot_rate: 3e-4,
             pivot_time: 0.5,
             rest_rate: 1e-3,
             slip: 3e-4,

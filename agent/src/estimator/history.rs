@@ -3,7 +3,7 @@
 use sphere_protocol::time::{BoardClock, Instant};
 
 use super::config::EstimatorConfig;
-use super::filter::{Filter, FixAt, Step};
+use super::filter::{Body, Filter, FixAt, Step};
 
 /// One frame and what the filter knew after it.
 #[derive(Clone, Debug)]
@@ -86,13 +86,13 @@ impl History {
     /// Runs the frames after the slot `age` again, with the fixes that were fused at them.
     ///
     /// A fix that was accepted once stays accepted: the gate had judged it when it came.
-    pub(super) fn replay_after(&mut self, age: usize, radius: f64, config: &EstimatorConfig) {
+    pub(super) fn replay_after(&mut self, age: usize, body: &Body, config: &EstimatorConfig) {
         for age in (0..age).rev() {
             let mut filter = self.slot(age + 1).filter.clone();
             let slot = self.slot_mut(age);
-            filter.step(&slot.step, radius, config);
+            filter.step(&slot.step, body, config);
             if let Some(fix) = &slot.fix {
-                filter.fuse_fix(fix, radius);
+                filter.fuse_fix(fix, body.radius);
             }
             slot.filter = filter;
         }

@@ -83,7 +83,7 @@ impl Intake {
 
     /// Notes which sensors were unusable or contradicted in a frame.
     pub(super) fn note(&mut self, dt: f64, bad: [bool; 3]) {
-        let keep = (-dt / HEALTH_TIME).exp();
+        let keep = HEALTH_TIME / (HEALTH_TIME + dt);
         for (share, bad) in self.bad.iter_mut().zip(bad) {
             *share = *share * keep + if bad { 1.0 - keep } else { 0.0 };
         }

@@ -36,7 +36,7 @@ impl RestDetector {
         bias: [f64; 3],
         bias_sigma: [f64; 3],
     ) -> bool {
-        let keep = (-dt / MEAN_TIME).exp();
+        let keep = MEAN_TIME / (MEAN_TIME + dt);
         let gyro = Vector3::from(gyro);
         let turned = (gyro - self.gyro).amax() > 6.0 * noise + GYRO_STILL;
         self.gyro = self.gyro * keep + gyro * (1.0 - keep);
@@ -66,7 +66,7 @@ impl RestDetector {
 const REST_TIME: f64 = 0.25;
 /// Time constant of the gyro's mean [s].
 const MEAN_TIME: f64 = 0.25;
-/// Motion of a joint that is still rest [rad]: three steps of a 16-bit encoder, 1 mrad/s over the stretch.
-const JOINT_STILL: f64 = 3.0e-4;
+/// Motion of a joint that is still rest [rad]: a 16-bit encoder may flicker by one step, 2π/65536, on an edge; two are motion.
+const JOINT_STILL: f64 = 1.5e-4;
 /// Rate that is still rest [rad/s].
 const GYRO_STILL: f64 = 3.0e-4;
