@@ -1,0 +1,459 @@
+//! One robot as the station knows it: its life, lease, mode, link and plans.
+//!
+//! What it does at each planning tick is in [`Session::tick`], top down; everything else keeps the facts for it.
+
+mod lease;
+
+use std::collections::VecDeque;
+
+use sphere_protocol::message::{
+    CommandOrder, DropReason, Mode, PlanId, PlanSource, SetpointPlan, Status, Telemetry,
+};
+use sphere_protocol::robot::{Robot, RobotId};
+use sphere_protocol::time::{AgentClock, GroundClock, Instant, Span};
+
+use crate::link::Link;
+use crate::planner::{Beginning, Knots, Planner};
+use crate::predictor::Predictor;
+use crate::settings::{Compensation, KNOT, PlannerMode, PlannerSettings};
+use crate::station::{Event, RobotConfig};
+use crate::tasking::{StartCondition, Task};
+use crate::trajectory::{Mission, Pose};
+use lease::Lease;
+
+/// What a session asks the station to send or tell.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Request {
+    /// A command.
+    Command {
+        boot_id: u64,
+        number: u32,
+        order: CommandOrder,
+    },
+    /// A plan.
+    Plan(Box<SetpointPlan>),
+    /// Something to tell.
+    Event(Event),
+}
+
+/// Counters of one robot since the station's start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Plans sent, of any source.
+    pub plans_sent: u64,
+    /// Of these: solved by Riccati sweeps.
+    pub riccati: u64,
+    /// Solved by Clarabel.
+    pub clarabel: u64,
+    /// The last plan again, because there was no new one.
+    pub shifted: u64,
+    /// Ticks without any plan although one was due: solver failed and nothing was left to send again.
+    pub failed: u64,
+    /// Ticks without a plan because telemetry was too old.
+    pub stale: u64,
+    /// Messages dropped, by [`DropReason`].
+    pub dropped: [u32; DropReason::COUNT],
+}
+
+/// One robot. Driven by [`crate::station::Station`].
+pub struct Session {
+    id: RobotId,
+    robot: Robot,
+    settings: PlannerSettings,
+    task: Task,
+    link: Link,
+    planner: Planner,
+    predictor: Predictor,
+    lease: Lease,
+    life: Option<Life>,
+    past_boots: VecDeque<u64>,
+    /// No plans until the operator resumes.
+    is_held: bool,
+    /// Whether plans could be made at the last tick that wanted one.
+    is_stale: bool,
+    counters: Counters,
+}
+
+/// One life of the agent.
+struct Life {
+    boot_id: u64,
+    telemetry: Telemetry,
+    received: Instant<GroundClock>,
+    last_plan: Option<SetpointPlan>,
+}
+
+impl Session {
+    pub(crate) fn new(config: &RobotConfig, settings: &PlannerSettings, station: u64) -> Self {
+        Self {
+            id: config.id,
+            robot: config.robot.clone(),
+            settings: *settings,
+            task: Task::new(config.mission.clone(), config.start),
+            link: Link::default(),
+            planner: Planner::new(&config.robot, settings),
+            predictor: Predictor::new(&config.robot),
+            lease: Lease::new(station),
+            life: None,
+            past_boots: VecDeque::new(),
+            is_held: false,
+            is_stale: false,
+            counters: Counters::default(),
+        }
+    }
+
+    /// The newest telemetry.
+    pub fn telemetry(&self) -> Option<&Telemetry> {
+        self.life.as_ref().map(|life| &life.telemetry)
+    }
+
+    /// The newest plan sent in this life of the agent.
+    pub fn last_plan(&self) -> Option<&SetpointPlan> {
+        self.life.as_ref()?.last_plan.as_ref()
+    }
+
+    /// Mission and progress.
+    pub fn task(&self) -> &Task {
+        &self.task
+    }
+
+    /// Delay and clock.
+    pub fn link(&self) -> &Link {
+        &self.link
+    }
+
+    /// Counters.
+    pub fn counters(&self) -> &Counters {
+        &self.counters
+    }
+
+    /// The lease under which this station plans, if it holds it.
+    pub fn epoch(&self) -> Option<u32> {
+        self.lease.epoch()
+    }
+
+    pub(crate) fn count_drop(&mut self, reason: DropReason) {
+        let count = &mut self.counters.dropped[reason as usize];
+        *count = count.saturating_add(1);
+    }
+
+    pub(crate) fn on_telemetry(
+        &mut self,
+        now: Instant<GroundClock>,
+        telemetry: Telemetry,
+        out: &mut Vec<Request>,
+    ) {
+        if telemetry.robot != self.id {
+            return self.count_drop(DropReason::WrongRobot);
+        }
+        if !is_plausible(&telemetry) {
+            return self.count_drop(DropReason::OutOfRange);
+        }
+        if self.past_boots.contains(&telemetry.boot_id) {
+            return self.count_drop(DropReason::WrongBoot);
+        }
+        match &self.life {
+            Some(life) if life.boot_id == telemetry.boot_id => {
+                if telemetry.stamp <= life.telemetry.stamp {
+                    return self.count_drop(DropReason::Old);
+                }
+                let ahead = telemetry.stamp.since(life.telemetry.stamp);
+                if ahead > now.since(life.received) + AHEAD_MAX {
+                    return self.count_drop(DropReason::Future);
+                }
+            }
+            Some(life) => {
+                let boot_id = life.boot_id;
+                self.on_reboot(boot_id);
+                out.push(Request::Event(Event::Rebooted {
+                    boot_id: telemetry.boot_id,
+                }));
+            }
+            None => out.push(Request::Event(Event::Found {
+                boot_id: telemetry.boot_id,
+            })),
+        }
+        self.link.on_telemetry(telemetry.stamp, now);
+        self.predictor.on_telemetry(&telemetry, &mut self.link);
+        let mode_before = self.telemetry().map(|before| before.mode);
+        if mode_before != Some(telemetry.mode) {
+            out.push(Request::Event(Event::Mode {
+                from: mode_before,
+                to: telemetry.mode,
+            }));
+        }
+        let epoch_before = self.lease.epoch();
+        if let Some(sent) = self.lease.on_telemetry(now, &telemetry, out) {
+            self.link.on_command_echo(sent, telemetry.stamp);
+        }
+        let last_plan = self.life.take().and_then(|life| life.last_plan);
+        let keeps_lease = self.lease.epoch() == epoch_before;
+        if !keeps_lease {
+            self.predictor.clear();
+        }
+        self.life = Some(Life {
+            boot_id: telemetry.boot_id,
+            telemetry,
+            received: now,
+            last_plan: last_plan.filter(|_| keeps_lease),
+        });
+    }
+
+    pub(crate) fn on_status(&mut self, status: &Status, out: &mut Vec<Request>) {
+        if status.robot != self.id {
+            return self.count_drop(DropReason::WrongRobot);
+        }
+        match &self.life {
+            // Telemetry, which comes often, decides which life is the present one.
+            Some(life) if life.boot_id == status.boot_id => self.lease.on_status(status, out),
+            _ => self.count_drop(DropReason::WrongBoot),
+        }
+    }
+
+    /// Sends what the lease wants now: claim, arm, what the operator ordered, again until it is acknowledged.
+    pub(crate) fn poll_commands(&mut self, now: Instant<GroundClock>, out: &mut Vec<Request>) {
+        if let Some(life) = &self.life
+            && let Some((number, order)) = self.lease.poll(now, &life.telemetry)
+        {
+            out.push(Request::Command {
+                boot_id: life.boot_id,
+                number,
+                order,
+            });
+        }
+    }
+
+    /// When [`Session::poll_commands`] wants to be asked next.
+    pub(crate) fn command_timeout(&self) -> Option<Instant<GroundClock>> {
+        self.life.as_ref().and_then(|_| self.lease.timeout())
+    }
+
+    /// An operator's order.
+    pub(crate) fn order(&mut self, order: CommandOrder) {
+        match order {
+            CommandOrder::Hold => self.is_held = true,
+            CommandOrder::Resume => self.is_held = false,
+            _ => {}
+        }
+        self.lease.order(order);
+    }
+
+    /// Begins a mission that waits for an order.
+    pub(crate) fn start(&mut self) {
+        self.task.order_start();
+    }
+
+    /// Another mission, in place of the present one, to begin as `start` says.
+    pub(crate) fn assign(&mut self, mission: Mission, start: StartCondition) {
+        self.task = Task::new(mission, start);
+        self.planner.reset();
+    }
+
+    /// One planning tick: a plan if the robot is ours, up, fresh and has something to do.
+    pub(crate) fn tick(&mut self, now: Instant<GroundClock>, out: &mut Vec<Request>) {
+        let (Some(life), Some(epoch)) = (&self.life, self.lease.epoch()) else {
+            return;
+        };
+        let telemetry = &life.telemetry;
+        if self.is_held || !matches!(telemetry.mode, Mode::Idle | Mode::Tracking | Mode::Holding) {
+            return;
+        }
+        let is_localised = telemetry.position_sigma <= POSITION_SIGMA_MAX;
+        if !self.task.is_under_way() && !is_localised {
+            return;
+        }
+        let Some(start) = self.plan_start(now, life) else {
+            return;
+        };
+        if start.since(telemetry.stamp) > self.lead_max() {
+            if self.task.is_under_way() {
+                self.counters.stale += 1;
+                if !core::mem::replace(&mut self.is_stale, true) {
+                    out.push(Request::Event(Event::Stale));
+                }
+            }
+            return;
+        }
+        self.is_stale = false;
+        let here = Pose {
+            x: telemetry.state.x,
+            y: telemetry.state.y,
+            heading: telemetry.state.heading,
+        };
+        let was_under_way = self.task.is_under_way();
+        match self.task.advance(now, start, here, &self.robot, &self.link) {
+            Ok(true) => {}
+            Ok(false) => {
+                if was_under_way {
+                    out.push(Request::Event(Event::MissionDone));
+                }
+                return;
+            }
+            Err(error) => {
+                out.push(Request::Event(Event::MissionRefused(error)));
+                return;
+            }
+        }
+        if !was_under_way {
+            out.push(Request::Event(Event::MissionStarted));
+        }
+        match self.plan(start, epoch) {
+            Some(plan) => {
+                self.counters.plans_sent += 1;
+                match plan.source {
+                    PlanSource::Riccati => self.counters.riccati += 1,
+                    PlanSource::Clarabel => self.counters.clarabel += 1,
+                    PlanSource::Shifted => self.counters.shifted += 1,
+                }
+                let arrival = self.link.arrival(now);
+                self.predictor.on_sent(plan.clone(), now, arrival);
+                out.push(Request::Plan(Box::new(plan.clone())));
+                if let Some(life) = &mut self.life {
+                    life.last_plan = Some(plan);
+                }
+            }
+            None => self.counters.failed += 1,
+        }
+    }
+
+    /// When a plan made now can begin: when it will have arrived. Not before the plan before it, so that later plans start later.
+    fn plan_start(&self, now: Instant<GroundClock>, life: &Life) -> Option<Instant<AgentClock>> {
+        let stamp = life.telemetry.stamp;
+        let earliest = self.link.agent_time(now)?.max(stamp);
+        if self.settings.compensation == Compensation::Naive {
+            return Some(earliest);
+        }
+        let arrival = self.link.arrival(now).unwrap_or(earliest).max(stamp);
+        Some(match &life.last_plan {
+            Some(last) => arrival.max(last.start),
+            None => arrival,
+        })
+    }
+
+    /// Longest way from telemetry to a plan's start: beyond a horizon more would be guessed than planned.
+    fn lead_max(&self) -> Span {
+        self.settings.horizon_length().min(self.settings.max_age)
+    }
+
+    /// A new plan, or the last one again if the solver fails and it still has something to play.
+    fn plan(&mut self, start: Instant<AgentClock>, epoch: u32) -> Option<SetpointPlan> {
+        let life = self.life.as_ref()?;
+        let last = life.last_plan.as_ref();
+        let telemetry = &life.telemetry;
+        let (trajectory, anchor) = self.task.running()?;
+        let is_naive = self.settings.compensation == Compensation::Naive;
+        let x = if is_naive {
+            self.predictor.predict(telemetry, telemetry.stamp)
+        } else {
+            self.predictor.predict(telemetry, start)
+        };
+        let measured = match (self.settings.mode, is_naive) {
+            (PlannerMode::Paper, true) => [telemetry.state.v, telemetry.state.q_r],
+            _ => [x[3], x[4]],
+        };
+        let since_last = last.map_or(0.0, |last| start.since(last.start).as_secs_f64());
+        let beginning = Beginning {
+            x,
+            measured,
+            shift: (since_last / KNOT).round().max(0.0) as usize,
+        };
+        let mission_time = start.since(anchor).as_secs_f64();
+        let outcome = self
+            .planner
+            .plan(&beginning, |t| trajectory.reference(mission_time + t));
+        let id = PlanId {
+            epoch,
+            seq: last.map_or(1, |last| last.id.seq.saturating_add(1)),
+        };
+        let remaining = last.filter(|last| {
+            let ends = (last.start + Span::from_secs_f64(KNOT * last.u.len() as f64))
+                .min(last.based_on + last.valid_for);
+            ends > start
+        });
+        match (outcome, remaining) {
+            (Ok(knots), _) if knots.is_optimal => self.stamped(knots, start, id),
+            // Optimal from a little earlier is better than not optimal at all.
+            (_, Some(last)) => Some(SetpointPlan {
+                id,
+                source: PlanSource::Shifted,
+                ..last.clone()
+            }),
+            (Ok(knots), None) => self.stamped(knots, start, id),
+            (Err(_), None) => None,
+        }
+    }
+
+    /// The knots as a plan in the robot's clock.
+    fn stamped(
+        &self,
+        knots: Knots,
+        start: Instant<AgentClock>,
+        id: PlanId,
+    ) -> Option<SetpointPlan> {
+        let life = self.life.as_ref()?;
+        let based_on = life.telemetry.stamp;
+        let lead = start.since(based_on);
+        // Played from its start to its last knot and no further; max_age may end it sooner.
+        let valid_for = (lead + self.settings.horizon_length()).min(self.settings.max_age);
+        let mut plan = SetpointPlan {
+            robot: self.id,
+            boot_id: life.boot_id,
+            id,
+            based_on,
+            start,
+            period: Span::from_secs_f64(KNOT),
+            valid_for,
+            source: knots.source,
+            u: knots.u,
+            x: knots.x,
+            k: knots.k,
+        };
+        match self.settings.compensation {
+            Compensation::Full => {}
+            Compensation::NoGains => plan.k.clear(),
+            Compensation::Naive => {
+                // One command, in force from arrival on, whenever that is.
+                plan.k.clear();
+                plan.u.truncate(1);
+                plan.x.truncate(2);
+                plan.start = based_on;
+                plan.period = valid_for;
+            }
+        }
+        Some(plan)
+    }
+
+    fn on_reboot(&mut self, boot_id: u64) {
+        if self.past_boots.len() == PAST_BOOTS {
+            self.past_boots.pop_front();
+        }
+        self.past_boots.push_back(boot_id);
+        self.task.interrupt(&self.link);
+        self.link.restart();
+        self.predictor.clear();
+        self.planner.reset();
+        self.lease.restart();
+        self.life = None;
+    }
+}
+
+/// Whether a robot can be in this state at all: the planner's mathematics need it.
+fn is_plausible(telemetry: &Telemetry) -> bool {
+    let state = &telemetry.state;
+    let within = |value: f64, limit: f64| value.abs() <= limit;
+    within(state.x, 1e7)
+        && within(state.y, 1e7)
+        && within(state.heading, 1e6)
+        && within(state.v, 100.0)
+        && within(telemetry.v_d, 100.0)
+        && within(state.q_r, ROLL_END)
+        && within(telemetry.q_rd, ROLL_END)
+}
+
+/// Largest standard deviation of the position with which a mission begins [m].
+const POSITION_SIGMA_MAX: f64 = 0.2;
+/// Telemetry whose stamp advances by this much more than the station's clock is from a broken clock.
+const AHEAD_MAX: Span = Span::from_millis(60_000);
+/// Earlier lives whose late packets are recognised.
+const PAST_BOOTS: usize = 8;
+/// Roll beyond which the kinematics mean nothing [rad].
+const ROLL_END: f64 = 1.4;
