@@ -353,6 +353,25 @@ fn circles_are_steady_and_within_limits() {
     assert!(fast.contains("v_max = 1"), "{fast}");
 }
 
+/// A mission that was built by hand and never read is refused, not laid out.
+#[test]
+fn impossible_waypoints_are_refused() {
+    let robot = liu();
+    for (points, speed) in [
+        (&[][..], 0.5),
+        (&[[0.0, 0.0]][..], 0.5),
+        (&[[0.0, 0.0], [f64::NAN, 1.0]][..], 0.5),
+        (&[[0.0, 0.0], [1.0, 1.0]][..], f64::NAN),
+        (&[[0.0, 0.0], [1.0, 1.0]][..], 2.0),
+    ] {
+        let mission = waypoints(points, speed);
+        assert!(
+            Trajectory::new(&mission, &robot, Pose::default()).is_err(),
+            "{mission:?}"
+        );
+    }
+}
+
 /// Scenario files: what is accepted comes back as it was, what is wrong is named.
 #[test]
 fn mission_specifications_are_checked() {

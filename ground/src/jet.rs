@@ -65,6 +65,43 @@ impl<const N: usize> Jet<N> {
         }
     }
 
+    /// The first M coefficients.
+    pub fn truncated<const M: usize>(&self) -> Jet<M> {
+        const { assert!(M <= N) };
+        Jet {
+            c: array::from_fn(|k| self.c[k]),
+        }
+    }
+
+    /// The q with sin q = f (cos q + q sin q) whose value is `value`, a solution already.
+    ///
+    /// Each coefficient enters its own order of the equation linearly, with the same factor cos q (1 − f q).
+    pub fn turn_angle(&self, value: f64) -> Self {
+        let f = self;
+        let (mut q, (sin, cos)) = (Self::constant(value), value.sin_cos());
+        let (mut s, mut c) = (Self::constant(sin), Self::constant(cos));
+        // m = cos q + q sin q, whose derivative is q cos q · q̇.
+        let mut m = Self::constant(cos + value * sin);
+        let slope = cos * (1.0 - f.c[0] * value);
+        for k in 1..N {
+            // What the lower orders contribute to order k of sin q, cos q, q cos q · q̇ and f m.
+            let (mut s_k, mut c_k, mut m_k) = (0.0, 0.0, 0.0);
+            for j in 1..k {
+                let rate = j as f64 * q.c[j] / k as f64;
+                let q_cos: f64 = (0..=k - j).map(|i| q.c[i] * c.c[k - j - i]).sum();
+                s_k += rate * c.c[k - j];
+                c_k -= rate * s.c[k - j];
+                m_k += rate * q_cos;
+            }
+            let f_m: f64 = (1..=k).map(|j| f.c[j] * m.c[k - j]).sum();
+            q.c[k] = (f_m + f.c[0] * m_k - s_k) / slope;
+            s.c[k] = s_k + cos * q.c[k];
+            c.c[k] = c_k - sin * q.c[k];
+            m.c[k] = m_k + value * cos * q.c[k];
+        }
+        q
+    }
+
     /// (sin f, cos f).
     pub fn sin_cos(&self) -> (Self, Self) {
         let (sin, cos) = self.c[0].sin_cos();
@@ -166,7 +203,17 @@ mod tests {
         assert!(close(g.sqrt() * g.sqrt(), g));
         assert!(close((f / g) * g, f));
         assert!(close(f.derivative().integral(0.7), f));
+        // sin q = f (cos q + q sin q) to every order.
+        let f = f * 0.3;
+        let mut q = f.c[0];
+        for _ in 0..20 {
+            q -= (q.sin() - f.c[0] * (q.cos() + q * q.sin())) / (q.cos() * (1.0 - f.c[0] * q));
+        }
+        let q = f.turn_angle(q);
+        let (sin, cos) = q.sin_cos();
+        assert!(close(sin, f * (cos + q * sin)));
         // (sin f)′ = cos f · f′, up to the order that the derivative loses.
+        let (s, c) = f.sin_cos();
         let (left, right) = (s.derivative(), c * f.derivative());
         assert!((0..7).all(|k| (left.c[k] - right.c[k]).abs() < 1e-14));
     }

@@ -20,6 +20,9 @@ pub struct Link {
     down: VecDeque<i64>,
     /// Least arrival (station) minus stamp (agent) of telemetry in each of the last [`BUCKETS`] seconds: (second, ns).
     up: VecDeque<(i64, i64)>,
+    /// The least that a command's acknowledgement gives for `down` before any plan was echoed [ns]: too long by up to the time between
+    /// two telemetries.
+    command_down: Option<i64>,
     /// Half the least loop, from this or an earlier life.
     half_loop: Span,
 }
@@ -45,9 +48,15 @@ impl Link {
         }
         self.down
             .push_back(arrived.as_nanos().saturating_sub(sent.as_nanos()));
-        if let (Some(up), Some(down)) = (self.up_least(), self.down.iter().min()) {
-            // A clock that drifts can make the sum of minima of different times negative; a delay cannot be.
-            self.half_loop = Span::from_nanos((up.saturating_add(*down) / 2).max(0));
+        self.halve_loop();
+    }
+
+    /// The first telemetry that acknowledges the command sent at `sent` has this `stamp`.
+    pub fn on_command_echo(&mut self, sent: Instant<GroundClock>, stamp: Instant<AgentClock>) {
+        let gap = stamp.as_nanos().saturating_sub(sent.as_nanos());
+        self.command_down = Some(self.command_down.map_or(gap, |least| least.min(gap)));
+        if self.down.is_empty() {
+            self.halve_loop();
         }
     }
 
@@ -55,17 +64,21 @@ impl Link {
     pub fn restart(&mut self) {
         self.down.clear();
         self.up.clear();
+        self.command_down = None;
     }
 
     /// By when a plan sent at `sent` will have arrived, nearly always: the 95 % quantile of the last [`ECHOES`]. `None` before the
-    /// first echo.
+    /// first echo, of a plan or a command.
     ///
     /// Early costs a little of the feedback's freshness, because the plan waits on board for its start; late costs a jump from the plan before it.
     pub fn arrival(&self, sent: Instant<GroundClock>) -> Option<Instant<AgentClock>> {
         let mut gaps: Vec<i64> = self.down.iter().copied().collect();
         gaps.sort_unstable();
         let rank = (gaps.len() * QUANTILE_PERCENT).div_ceil(100);
-        let gap = *gaps.get(rank.checked_sub(1)?)?;
+        let gap = match rank.checked_sub(1) {
+            Some(i) => gaps[i],
+            None => self.command_down?,
+        };
         Some(Instant::from_nanos(sent.as_nanos().saturating_add(gap)))
     }
 
@@ -84,6 +97,14 @@ impl Link {
     /// Least delay there and back; zero before the first echo.
     pub fn loop_least(&self) -> Span {
         self.half_loop + self.half_loop
+    }
+
+    fn halve_loop(&mut self) {
+        let down = self.down.iter().min().copied().or(self.command_down);
+        if let (Some(up), Some(down)) = (self.up_least(), down) {
+            // A clock that drifts can make the sum of minima of different times negative; a delay cannot be.
+            self.half_loop = Span::from_nanos((up.saturating_add(down) / 2).max(0));
+        }
     }
 
     fn up_least(&self) -> Option<i64> {

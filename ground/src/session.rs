@@ -182,7 +182,9 @@ impl Session {
             }));
         }
         let epoch_before = self.lease.epoch();
-        self.lease.on_telemetry(now, &telemetry, out);
+        if let Some(sent) = self.lease.on_telemetry(now, &telemetry, out) {
+            self.link.on_command_echo(sent, telemetry.stamp);
+        }
         let last_plan = self.life.take().and_then(|life| life.last_plan);
         let keeps_lease = self.lease.epoch() == epoch_before;
         if !keeps_lease {

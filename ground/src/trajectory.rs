@@ -80,7 +80,7 @@ impl Trajectory {
     /// The trajectory of `mission` for `robot`, which stands at `here` when it begins (only [`Mission::Hold`] asks).
     ///
     /// # Errors
-    /// A circle or a waypoint speed that is beyond the robot's limits.
+    /// A circle or a waypoint speed that is beyond the robot's limits; waypoints that are no way.
     pub fn new(mission: &Mission, robot: &Robot, here: Pose) -> Result<Self, MissionError> {
         let (r, limits) = (robot.params.r, &robot.limits);
         Ok(match mission {
@@ -117,7 +117,11 @@ impl Trajectory {
             Mission::Waypoints {
                 points_m,
                 speed_mps,
-            } => Self::Waypoints(Waypoints::new(points_m, *speed_mps, robot)?),
+            } => {
+                // Built by hand rather than read, it may hold anything, and no way leads through that.
+                mission.clone().validated()?;
+                Self::Waypoints(Waypoints::new(points_m, *speed_mps, robot)?)
+            }
             Mission::Hold => Self::Hold(here),
         })
     }

@@ -22,6 +22,8 @@ pub(super) struct Sqp<const NX: usize> {
     subproblem: Subproblem<NX>,
     step: Step<NX>,
     riccati: Riccati<NX>,
+    /// Length of the last searched step.
+    damping: f64,
 }
 
 /// How a run ended.
@@ -63,6 +65,7 @@ impl<const NX: usize> Sqp<NX> {
             subproblem: Subproblem::new(horizon),
             step: Step::new(horizon),
             riccati: Riccati::new(horizon),
+            damping: 1.0,
         }
     }
 
@@ -131,6 +134,7 @@ impl<const NX: usize> Sqp<NX> {
         mut quadratic: Quadratic<'_, NX>,
         iterations_max: u32,
     ) -> Run {
+        self.damping = 1.0;
         for iteration in 1..=iterations_max {
             let run = |outcome| Run {
                 outcome,
@@ -235,8 +239,12 @@ impl<const NX: usize> Sqp<NX> {
             };
             let size = self.step.size();
             let alpha = match found {
-                Ok(()) if size <= FULL_STEP => Some(1.0),
-                Ok(()) if size.is_finite() => self.search(problem),
+                Ok(()) if size <= FULL_STEP => Some(if exact { 1.0 } else { self.damping }),
+                Ok(()) if size.is_finite() => {
+                    let alpha = self.search(problem, if exact { ARMIJO_EXACT } else { ARMIJO });
+                    self.damping = alpha.unwrap_or(1.0);
+                    alpha
+                }
                 Ok(()) | Err(StepError::None) => None,
                 Err(error) => return Err(error),
             };
@@ -275,7 +283,7 @@ impl<const NX: usize> Sqp<NX> {
     }
 
     /// Length of the step by backtracking on φ = cost + μ Σ|F(xₖ, uₖ) − xₖ₊₁|₁ with Armijo's condition.
-    fn search(&mut self, problem: &Problem<NX>) -> Option<f64> {
+    fn search(&mut self, problem: &Problem<NX>, armijo: f64) -> Option<f64> {
         // Exact penalty: μ above every multiplier of the dynamics.
         let mu = 1.1 * self.step.costate_size() + 1e-3;
         if !mu.is_finite() {
@@ -313,7 +321,7 @@ impl<const NX: usize> Sqp<NX> {
                 missed += (next - self.trial.x[k + 1]).lp_norm(1);
             }
             let merit = cost(problem, &self.trial) + mu * missed;
-            if merit <= start + ARMIJO * alpha * slope + 1e-14 * start.abs() {
+            if merit <= start + armijo * alpha * slope + 1e-14 * start.abs() {
                 return Some(alpha);
             }
             alpha *= 0.5;
@@ -373,7 +381,8 @@ fn shift_rows<T: Copy>(rows: &mut [T], knots: usize) {
 const CREEP: f64 = 0.1;
 /// Iterations in which the turn limit follows the speed freely; later ones only narrow it, so that it cannot cycle.
 const TURN_LIMIT_FREE: u32 = 8;
-/// Steps up to this size [m, rad, m/s] are taken whole: Newton's region.
+/// Steps up to this size [m, rad, m/s] are not searched, their effect on the cost drowns in rounding: an exact one is taken
+/// whole, a Gauss-Newton step by the length of the last search.
 const FULL_STEP: f64 = 1e-4;
 /// A converged exact step: the error it leaves is of the order of its square [m, rad, m/s].
 const STEP_EXACT: f64 = 1e-7;
@@ -381,8 +390,11 @@ const STEP_EXACT: f64 = 1e-7;
 const STEP_GAUSS_NEWTON: f64 = 1e-10;
 /// A converged step by Clarabel, whose own tolerance is 1e-10.
 const STEP_CLARABEL: f64 = 1e-8;
-/// Share of the predicted decrease that a step must reach.
-const ARMIJO: f64 = 1e-4;
+/// Share of the predicted decrease that an exact step must reach.
+const ARMIJO_EXACT: f64 = 1e-4;
+/// The same for a Gauss-Newton step: enough to shorten one that overshoots, where the curvature left out is as large as the
+/// weights. Such a step would else swing about the solution.
+const ARMIJO: f64 = 0.25;
 /// Shortest step tried.
 const ALPHA_MIN: f64 = 1e-3;
 /// Distance at which an input counts as held by its bound [m/s, rad]: what Clarabel leaves.

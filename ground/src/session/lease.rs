@@ -41,6 +41,9 @@ struct UnderWay {
     order: CommandOrder,
     epoch_before: u32,
     send_at: Instant<GroundClock>,
+    /// When it was sent, if it was sent once: the answer to a repeated one may be to any of them.
+    sent_once: Option<Instant<GroundClock>>,
+    is_sent: bool,
 }
 
 impl Lease {
@@ -95,12 +98,14 @@ impl Lease {
         self.retry_at = None;
     }
 
+    /// Returns when the command that this telemetry acknowledges was sent, if that is certain.
     pub(super) fn on_telemetry(
         &mut self,
         now: Instant<GroundClock>,
         telemetry: &Telemetry,
         out: &mut Vec<Request>,
-    ) {
+    ) -> Option<Instant<GroundClock>> {
+        let mut sent_once = None;
         self.newest_number = self.newest_number.max(telemetry.command);
         if matches!(telemetry.mode, Mode::Failsafe | Mode::Fault) {
             self.wants_armed = false;
@@ -109,6 +114,7 @@ impl Lease {
             && telemetry.command >= command.number
         {
             self.under_way = None;
+            sent_once = command.sent_once;
             self.on_acknowledged(now, command, telemetry, out);
         }
         if let Holder::Us { epoch } = self.holder
@@ -121,6 +127,7 @@ impl Lease {
             };
             out.push(Request::Event(Event::LeaseLost { station: None }));
         }
+        sent_once
     }
 
     pub(super) fn on_status(&mut self, status: &Status, out: &mut Vec<Request>) {
@@ -149,6 +156,8 @@ impl Lease {
                 order,
                 epoch_before: telemetry.epoch,
                 send_at: now,
+                sent_once: None,
+                is_sent: false,
             });
         }
         let command = self.under_way.as_mut()?;
@@ -156,6 +165,8 @@ impl Lease {
             return None;
         }
         command.send_at = now + REPEAT;
+        command.sent_once = (!command.is_sent).then_some(now);
+        command.is_sent = true;
         Some((command.number, command.order))
     }
 

@@ -7,17 +7,14 @@
 //!   φ = ∠Ṗ,   tan q_r / (1 + q_r tan q_r) = R φ̇ / w,   v = w / (1 + q_r tan q_r),   C = P + R q_r n,
 //!
 //! and the result obeys eq (1) identically. For a path that is given for C the point P follows from P = C − R q_r(P) n(P), iterated
-//! [`PASSES`] times from P = C: two passes of φ = tangent − atan(R q̇_r/v). The remainder is how far the reference's centre is
+//! twice from P = C: two passes of φ = tangent − atan(R q̇_r/v). The remainder is how far the reference's centre is
 //! from the given path, not an error in eq (1). More passes do not help: the exact inverse is an oscillator at v/R.
 
 use super::ReferencePoint;
 use crate::jet::Jet;
 
-/// Corrections of a path given for the centre. Largest remainder with R = 0.35 m: see `tests/trajectories.rs`.
-const PASSES: usize = 2;
-
-/// Orders needed: each pass takes two derivatives, roll and its rate three.
-pub(super) const ORDERS: usize = 2 * PASSES + 4;
+/// Orders that a path given for the centre must have: each of the two passes takes two derivatives, roll and its rate three.
+pub(super) const ORDERS: usize = 8;
 
 /// Largest R φ̇ / w for which a roll exists is 2/π; a path that turns tighter gets the roll of this value.
 const TURN_MAX: f64 = 0.6;
@@ -26,13 +23,10 @@ const TURN_MAX: f64 = 0.6;
 ///
 /// The path must move: |(ẋ, ẏ)| > 0.
 pub(super) fn along_centre(x: Jet<ORDERS>, y: Jet<ORDERS>, r: f64, branch: f64) -> ReferencePoint {
-    let (mut px, mut py) = (x, y);
-    let mut motion = Motion::of(px, py, r);
-    for _ in 0..PASSES {
-        px = x + motion.q_r * motion.sin * r;
-        py = y - motion.q_r * motion.cos * r;
-        motion = Motion::of(px, py, r);
-    }
+    // A pass leaves two orders less that mean anything: the series get shorter.
+    let (px, py) = corrected::<ORDERS, 6>(x, y, x, y, r);
+    let (px, py) = corrected::<6, 4>(x.truncated(), y.truncated(), px, py, r);
+    let motion = Motion::of(px, py, r);
     // The tangent relative to the branch, so that the cut of atan2 lies opposite to it.
     let (s, c) = branch.sin_cos();
     let (cos, sin) = (motion.cos.value(), motion.sin.value());
@@ -70,20 +64,28 @@ pub(super) fn roll_of_turn<const N: usize>(turn: Jet<N>) -> Jet<N> {
             break;
         }
     }
-    // Newton on the series doubles the known orders each time; the value is known already.
-    let mut q = Jet::constant(q);
-    let mut known = 1;
-    while known < N {
-        let (s, c) = q.sin_cos();
-        q = q - (s - turn * (c + q * s)) / (c * (Jet::constant(1.0) - turn * q));
-        known *= 2;
-    }
-    q
+    turn.turn_angle(q)
 }
 
 /// Curvature of P's path at which the roll is `q_r`, tan q / (1 + q tan q) / R [1/m].
 pub(super) fn curvature_of_roll(q_r: f64, r: f64) -> f64 {
     q_r.tan() / (1.0 + q_r * q_r.tan()) / r
+}
+
+/// P = C − R q_r n, with roll and normal of an earlier P.
+fn corrected<const N: usize, const M: usize>(
+    x: Jet<N>,
+    y: Jet<N>,
+    px: Jet<N>,
+    py: Jet<N>,
+    r: f64,
+) -> (Jet<M>, Jet<M>) {
+    let motion = Motion::of(px, py, r);
+    let side = motion.q_r * r;
+    (
+        (x + side * motion.sin).truncated(),
+        (y - side * motion.cos).truncated(),
+    )
 }
 
 /// What a path of P implies.

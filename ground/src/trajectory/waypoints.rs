@@ -46,7 +46,11 @@ impl Waypoints {
     ///
     /// # Errors
     /// A speed above the robot's limit; a point so close behind a sharp corner that no turn of the robot reaches it.
-    pub fn new(points: &[[f64; 2]], speed: f64, robot: &Robot) -> Result<Self, MissionError> {
+    pub(super) fn new(
+        points: &[[f64; 2]],
+        speed: f64,
+        robot: &Robot,
+    ) -> Result<Self, MissionError> {
         let (r, limits) = (robot.params.r, &robot.limits);
         if speed > limits.v_max {
             return Err(MissionError::TooFast {
