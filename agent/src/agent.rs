@@ -9,10 +9,12 @@ use std::fmt::Write as _;
 use arrayvec::{ArrayString, ArrayVec};
 use sphere_protocol::key::Key;
 use sphere_protocol::mavlink::{
-    AGENT, BOARD, Event as BoardEvent, Frame, FrameReader, FrameWriter, Framing, Heartbeat, TorqueCommand,
+    AGENT, BOARD, Event as BoardEvent, Frame, FrameReader, FrameWriter, Framing, Heartbeat,
+    TorqueCommand,
 };
 use sphere_protocol::message::{
-    Beacon, Command, CommandOrder, Direction, DropReason, Message, Mode, PlanId, Qos, SetpointPlan, Status, Telemetry,
+    Beacon, Command, CommandOrder, Direction, DropReason, Message, Mode, PlanId, Qos, SetpointPlan,
+    Status, Telemetry,
 };
 use sphere_protocol::state::{BoardStatus, RobotState, Setpoint, Torque};
 use sphere_protocol::time::{AgentClock, BoardClock, Instant, Span};
@@ -51,7 +53,10 @@ pub type Payload = ArrayVec<u8, 512>;
 
 /// What an agent wants done.
 #[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "drained at once; a box would allocate in the control step")]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "drained at once; a box would allocate in the control step"
+)]
 pub enum Output {
     /// Write these bytes to the motor board.
     Motor(Frame),
@@ -288,7 +293,12 @@ impl Agent {
         }
     }
 
-    fn on_message(&mut self, now: Instant<AgentClock>, key: &str, bytes: &[u8]) -> Result<(), DropReason> {
+    fn on_message(
+        &mut self,
+        now: Instant<AgentClock>,
+        key: &str,
+        bytes: &[u8],
+    ) -> Result<(), DropReason> {
         let key = Key::parse(key).map_err(|_| DropReason::Malformed)?;
         if key.robot() != self.config.id {
             return Err(DropReason::WrongRobot);
@@ -314,7 +324,11 @@ impl Agent {
         self.playback.receive(plan, now, &self.config.robot.limits)
     }
 
-    fn on_command(&mut self, now: Instant<AgentClock>, command: &Command) -> Result<(), DropReason> {
+    fn on_command(
+        &mut self,
+        now: Instant<AgentClock>,
+        command: &Command,
+    ) -> Result<(), DropReason> {
         if command.robot != self.config.id {
             return Err(DropReason::WrongRobot);
         }
@@ -339,7 +353,11 @@ impl Agent {
                 None
             }
             // Whoever sees a reason to stop may stop it; only its owner may set it in motion.
-            CommandOrder::Hold => self.mode.hold(Reason::Ordered).map(|transition| self.report(transition)).err(),
+            CommandOrder::Hold => self
+                .mode
+                .hold(Reason::Ordered)
+                .map(|transition| self.report(transition))
+                .err(),
             _ if !owner => return Err(DropReason::WrongEpoch),
             CommandOrder::Release => {
                 self.end_lease();
@@ -358,13 +376,19 @@ impl Agent {
             CommandOrder::Resume => self.mode.resume().err(),
         };
         if let Some(mode) = refused {
-            self.emit(Output::Event(Event::Refused { order: command.order, mode }));
+            self.emit(Output::Event(Event::Refused {
+                order: command.order,
+                mode,
+            }));
         }
         Ok(())
     }
 
     fn claim(&mut self, now: Instant<AgentClock>, station: u64) {
-        let silent = self.lease.heard.is_none_or(|heard| now - heard > self.config.timing.lease_timeout);
+        let silent = self
+            .lease
+            .heard
+            .is_none_or(|heard| now - heard > self.config.timing.lease_timeout);
         let holder = self.lease.station;
         if holder != 0 && holder != station && !silent {
             self.emit(Output::Event(Event::LeaseRefused { station, holder }));
@@ -375,7 +399,10 @@ impl Agent {
         self.lease.station = station;
         self.lease.heard = Some(now);
         self.due.status = now;
-        self.emit(Output::Event(Event::Leased { station, epoch: self.lease.epoch }));
+        self.emit(Output::Event(Event::Leased {
+            station,
+            epoch: self.lease.epoch,
+        }));
     }
 
     fn end_lease(&mut self) {
@@ -437,13 +464,16 @@ impl Agent {
         let (setpoint, torque) = if self.mode.is_armed() {
             let setpoint = match planned {
                 Some([v_c, q_c]) => {
-                    let bound = roll_bound(state.v, &self.config.robot.params, limits);
-                    self.reference.follow(v_c, q_c.clamp(-bound, bound), dt, limits)
+                    let bound = roll_bound(self.reference.v(), &self.config.robot.params, limits);
+                    self.reference
+                        .follow(v_c, q_c.clamp(-bound, bound), dt, limits)
                 }
                 None => self.reference.brake(dt, limits),
             };
             let torque = Torque {
-                pitch: self.velocity.step(&state, &setpoint, SpeedShape::default(), dt),
+                pitch: self
+                    .velocity
+                    .step(&state, &setpoint, SpeedShape::default(), dt),
                 roll: self.direction.step(&state, &setpoint, dt),
             };
             (setpoint, torque)
@@ -470,7 +500,11 @@ impl Agent {
     }
 
     /// The command of the plan in force, and the mode that follows from there being one or not.
-    fn planned_command(&mut self, now: Instant<AgentClock>, state: &RobotState) -> Option<[f64; 2]> {
+    fn planned_command(
+        &mut self,
+        now: Instant<AgentClock>,
+        state: &RobotState,
+    ) -> Option<[f64; 2]> {
         if !self.mode.accepts_plans() {
             return None;
         }
@@ -494,7 +528,11 @@ impl Agent {
     }
 
     fn playing(&self) -> Option<&SetpointPlan> {
-        if self.mode.mode() == Mode::Tracking { self.playback.playing() } else { None }
+        if self.mode.mode() == Mode::Tracking {
+            self.playback.playing()
+        } else {
+            None
+        }
     }
 
     /// The estimate moved from the last frame's stamp to `now` by its own rates.
@@ -530,7 +568,9 @@ impl Agent {
             Some(Check::BoardHealthy)
         } else if self.estimator.position_sigma() > LOCALISED_SIGMA {
             Some(Check::Localised)
-        } else if state.q_r.abs() > 0.5 * ROLL_FAULT || state.alpha.abs().max(state.beta.abs()) > 0.5 * SWING_FAULT {
+        } else if state.q_r.abs() > 0.5 * ROLL_FAULT
+            || state.alpha.abs().max(state.beta.abs()) > 0.5 * SWING_FAULT
+        {
             Some(Check::Upright)
         } else {
             None
@@ -539,14 +579,24 @@ impl Agent {
 
     /// What makes control impossible now.
     fn first_fault(&self, now: Instant<AgentClock>, state: &RobotState) -> Option<Reason> {
-        let finite = [state.x, state.y, state.heading, state.v, state.q_r, state.beta, state.alpha];
+        let finite = [
+            state.x,
+            state.y,
+            state.heading,
+            state.v,
+            state.q_r,
+            state.beta,
+            state.alpha,
+        ];
         if self.sensors_stale(now) {
             Some(Reason::SensorsLost)
         } else if !self.sensors_healthy() {
             Some(Reason::SensorFailed)
         } else if !finite.iter().all(|value| value.is_finite()) {
             Some(Reason::EstimatorFailed)
-        } else if state.q_r.abs() > ROLL_FAULT || state.alpha.abs().max(state.beta.abs()) > SWING_FAULT {
+        } else if state.q_r.abs() > ROLL_FAULT
+            || state.alpha.abs().max(state.beta.abs()) > SWING_FAULT
+        {
             Some(Reason::OverTilt)
         } else {
             None
@@ -562,7 +612,9 @@ impl Agent {
     }
 
     fn sensors_stale(&self, now: Instant<AgentClock>) -> bool {
-        self.board.last_frame.is_none_or(|last| now - last > self.config.timing.sensor_timeout)
+        self.board
+            .last_frame
+            .is_none_or(|last| now - last > self.config.timing.sensor_timeout)
     }
 
     fn watch_rest(&mut self, now: Instant<AgentClock>, state: &RobotState) {
@@ -574,7 +626,9 @@ impl Agent {
         let Some(asked) = self.shutdown else {
             return;
         };
-        let at_rest = self.still_since.is_some_and(|since| now - since >= REST_TIME);
+        let at_rest = self
+            .still_since
+            .is_some_and(|since| now - since >= REST_TIME);
         if !self.mode.is_armed() || at_rest || now - asked >= SHUTDOWN_MAX {
             let transition = self.mode.disarm(Reason::Shutdown);
             self.report(transition);
@@ -622,7 +676,11 @@ impl Agent {
             newest: self.playback.newest(),
             received: self.playback.received(),
             loop_delay: self.playback.loop_delay(),
-            epoch: if self.lease.station == 0 { 0 } else { self.lease.epoch },
+            epoch: if self.lease.station == 0 {
+                0
+            } else {
+                self.lease.epoch
+            },
             command: self.lease.newest_command,
             torque: [torque.pitch, torque.roll],
         });
@@ -642,7 +700,11 @@ impl Agent {
             dropped: self.dropped,
             gain_guard: self.direction.counters().gain_guard,
             software,
-            epoch: if self.lease.station == 0 { 0 } else { self.lease.epoch },
+            epoch: if self.lease.station == 0 {
+                0
+            } else {
+                self.lease.epoch
+            },
             station: self.lease.station,
         });
     }
@@ -656,7 +718,10 @@ impl Agent {
             boot_id: self.config.boot_id,
             stamp: now,
             position: [state.x, state.y],
-            velocity: [state.v * cos - sideways * sin, state.v * sin + sideways * cos],
+            velocity: [
+                state.v * cos - sideways * sin,
+                state.v * sin + sideways * cos,
+            ],
             radius: self.config.robot.params.r,
         });
     }
@@ -664,7 +729,12 @@ impl Agent {
     fn publish<M: Wire>(&mut self, message: &M) {
         let mut bytes = Payload::new();
         match wire::encode(message, &mut bytes) {
-            Ok(()) => self.emit(Output::Publish { direction: M::DIRECTION, topic: M::TOPIC, qos: M::QOS, bytes }),
+            Ok(()) => self.emit(Output::Publish {
+                direction: M::DIRECTION,
+                topic: M::TOPIC,
+                qos: M::QOS,
+                bytes,
+            }),
             Err(_) => self.drop_message(DropReason::OutOfRange),
         }
     }
@@ -699,7 +769,10 @@ fn decode<M: Wire>(bytes: &[u8]) -> Result<M, DropReason> {
 impl Lease {
     /// Whether a command with this number is new from this station; remembers it.
     fn is_new(&mut self, station: u64, number: u32) -> bool {
-        let known = self.commands.iter_mut().find(|(known, _)| *known == station);
+        let known = self
+            .commands
+            .iter_mut()
+            .find(|(known, _)| *known == station);
         let new = match known {
             Some((_, last)) if number <= *last => false,
             Some((_, last)) => {

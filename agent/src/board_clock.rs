@@ -31,13 +31,20 @@ impl BoardClockMap {
             }
             _ => offset,
         };
-        self.newest = Some(Sample { offset, at: arrival });
+        self.newest = Some(Sample {
+            offset,
+            at: arrival,
+        });
     }
 
     /// Age of `stamp` at `now`, less the link's shortest delay; zero before the first frame.
     pub fn age(&self, now: Instant<AgentClock>, stamp: Instant<BoardClock>) -> Span {
         self.newest.map_or(Span::ZERO, |known| {
-            Span::from_nanos(now.as_nanos().saturating_sub(stamp.as_nanos()).saturating_sub(known.offset))
+            Span::from_nanos(
+                now.as_nanos()
+                    .saturating_sub(stamp.as_nanos())
+                    .saturating_sub(known.offset),
+            )
         })
     }
 }

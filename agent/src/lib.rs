@@ -11,12 +11,12 @@
 //! Modules in reading order:
 
 pub mod agent;
-pub mod mode;
-pub mod plan;
-pub mod reference;
-pub mod estimator;
-pub mod control;
-pub mod gains;
-pub mod model;
 pub mod board_clock;
 pub mod config;
+pub mod control;
+pub mod estimator;
+pub mod gains;
+pub mod mode;
+pub mod model;
+pub mod plan;
+pub mod reference;

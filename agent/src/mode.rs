@@ -85,7 +85,11 @@ pub struct ModeMachine {
 impl ModeMachine {
     /// Boot.
     pub fn new() -> Self {
-        Self { mode: Mode::Boot, reason: Reason::Started, hold_ordered: false }
+        Self {
+            mode: Mode::Boot,
+            reason: Reason::Started,
+            hold_ordered: false,
+        }
     }
 
     /// The mode.
@@ -100,12 +104,16 @@ impl ModeMachine {
 
     /// Whether torque may flow at all.
     pub fn is_armed(&self) -> bool {
-        matches!(self.mode, Mode::Idle | Mode::Tracking | Mode::Holding | Mode::Failsafe)
+        matches!(
+            self.mode,
+            Mode::Idle | Mode::Tracking | Mode::Holding | Mode::Failsafe
+        )
     }
 
     /// Whether plans may be played.
     pub fn accepts_plans(&self) -> bool {
-        matches!(self.mode, Mode::Idle | Mode::Tracking) || self.mode == Mode::Holding && !self.hold_ordered
+        matches!(self.mode, Mode::Idle | Mode::Tracking)
+            || self.mode == Mode::Holding && !self.hold_ordered
     }
 
     /// The pre-arm checks, run before each control step: `failing` is the first that fails.
@@ -174,24 +182,40 @@ impl ModeMachine {
 
     /// A plan commands the robot.
     pub fn on_plan(&mut self) -> Option<Transition> {
-        if self.accepts_plans() { self.enter(Mode::Tracking, Reason::PlanBegun) } else { None }
+        if self.accepts_plans() {
+            self.enter(Mode::Tracking, Reason::PlanBegun)
+        } else {
+            None
+        }
     }
 
     /// No plan commands the robot (any more).
     pub fn on_no_plan(&mut self, reason: Reason) -> Option<Transition> {
-        if self.mode == Mode::Tracking { self.enter(Mode::Holding, reason) } else { None }
+        if self.mode == Mode::Tracking {
+            self.enter(Mode::Holding, reason)
+        } else {
+            None
+        }
     }
 
     /// Control is impossible: zero torque, latched.
     pub fn fault(&mut self, reason: Reason) -> Option<Transition> {
-        if self.is_armed() { self.enter(Mode::Fault, reason) } else { None }
+        if self.is_armed() {
+            self.enter(Mode::Fault, reason)
+        } else {
+            None
+        }
     }
 
     fn enter(&mut self, to: Mode, reason: Reason) -> Option<Transition> {
         if self.mode == to {
             return None;
         }
-        let transition = Transition { from: self.mode, to, reason };
+        let transition = Transition {
+            from: self.mode,
+            to,
+            reason,
+        };
         (self.mode, self.reason) = (to, reason);
         Some(transition)
     }

@@ -56,7 +56,14 @@ const ROUNDING: f64 = 1e-4;
 impl Playback {
     /// No plan.
     pub fn new() -> Self {
-        Self { current: None, waiting: ArrayVec::new(), newest: None, received: 0, loop_delay: None, begun: 0 }
+        Self {
+            current: None,
+            waiting: ArrayVec::new(),
+            newest: None,
+            received: 0,
+            loop_delay: None,
+            begun: 0,
+        }
     }
 
     /// Takes in a plan that was decoded and is meant for this robot, boot and lease.
@@ -85,7 +92,11 @@ impl Playback {
             value >= low - ROUNDING && value <= high + ROUNDING
         };
         let q = limits.q_r_max;
-        if !plan.u.iter().all(|u| within(u[0], limits.v_min, limits.v_max) && within(u[1], -q, q)) {
+        if !plan
+            .u
+            .iter()
+            .all(|u| within(u[0], limits.v_min, limits.v_max) && within(u[1], -q, q))
+        {
             return Err(DropReason::OutOfRange);
         }
         self.acknowledge(plan.id);
@@ -137,7 +148,9 @@ impl Playback {
             let mut deviation = state - predicted;
             deviation[2] = wrap(deviation[2]);
             for (row, u) in u.iter_mut().enumerate() {
-                *u += (0..5).map(|column| f64::from(gain[5 * row + column]) * deviation[column]).sum::<f64>();
+                *u += (0..5)
+                    .map(|column| f64::from(gain[5 * row + column]) * deviation[column])
+                    .sum::<f64>();
             }
         }
         Ok(PlannedCommand {
@@ -215,7 +228,13 @@ pub fn reference_state(state: &RobotState, v_d: f64, q_rd: f64) -> ReferenceStat
 
 /// The reference model over `dt` [s] under held commands `u` = (v_c, q_c): first-order lag `tau` of speed and roll, and eq (1) on
 /// the arc of their means, with the sideways term R q̇_r that makes it the path of the *centre*.
-pub fn advance_reference(x: &ReferenceState, u: [f64; 2], dt: f64, tau: f64, r: f64) -> ReferenceState {
+pub fn advance_reference(
+    x: &ReferenceState,
+    u: [f64; 2],
+    dt: f64,
+    tau: f64,
+    r: f64,
+) -> ReferenceState {
     if dt <= 0.0 {
         return *x;
     }

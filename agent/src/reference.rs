@@ -49,16 +49,34 @@ impl Reference {
     /// Brakes for `dt` [s]: the speed by the ramp `limits.brake` to zero, the roll by the lag.
     pub fn brake(&mut self, dt: f64, limits: &Limits) -> Setpoint {
         let step = limits.brake * dt;
-        let v_rate = if self.v.abs() > step { -limits.brake.copysign(self.v) } else { 0.0 };
-        self.v = if self.v.abs() > step { self.v - step.copysign(self.v) } else { 0.0 };
+        let v_rate = if self.v.abs() > step {
+            -limits.brake.copysign(self.v)
+        } else {
+            0.0
+        };
+        self.v = if self.v.abs() > step {
+            self.v - step.copysign(self.v)
+        } else {
+            0.0
+        };
         let roll = self.follow_roll(0.0, dt, limits.reference_lag);
-        Setpoint { v: self.v, v_rate, ..roll }
+        Setpoint {
+            v: self.v,
+            v_rate,
+            ..roll
+        }
     }
 
     fn follow_roll(&mut self, q_c: f64, dt: f64, tau: f64) -> Setpoint {
         self.q_r += (q_c - self.q_r) * (1.0 - (-dt / tau).exp());
         let q_r_rate = (q_c - self.q_r) / tau;
-        Setpoint { v: self.v, v_rate: 0.0, q_r: self.q_r, q_r_rate, q_r_accel: -q_r_rate / tau }
+        Setpoint {
+            v: self.v,
+            v_rate: 0.0,
+            q_r: self.q_r,
+            q_r_rate,
+            q_r_accel: -q_r_rate / tau,
+        }
     }
 }
 
@@ -66,5 +84,7 @@ impl Reference {
 ///
 /// Below 0.22 m/s the turn limit is no bound (it would only amplify the noise of v).
 pub fn roll_bound(v: f64, params: &RobotParams, limits: &Limits) -> f64 {
-    (limits.turn_limit(params) / (v * v).max(0.05)).atan().min(limits.q_r_max)
+    (limits.turn_limit(params) / (v * v).max(0.05))
+        .atan()
+        .min(limits.q_r_max)
 }

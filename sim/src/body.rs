@@ -68,7 +68,10 @@ pub struct BodyRandom {
 impl BodyRandom {
     /// Streams of robot number `robot` under `seed`.
     pub fn new(seed: u64, robot: usize) -> Self {
-        Self { sensors: stream(seed, robot, Purpose::Sensors), positions: stream(seed, robot, Purpose::Positions) }
+        Self {
+            sensors: stream(seed, robot, Purpose::Sensors),
+            positions: stream(seed, robot, Purpose::Positions),
+        }
     }
 }
 
@@ -99,7 +102,12 @@ impl Body {
     /// A robot at rest, its pendulum hanging.
     pub fn new(setup: BodySetup, random: BodyRandom) -> Self {
         let [x, y, heading] = setup.start;
-        let robot = RobotState { x, y, heading, ..RobotState::default() };
+        let robot = RobotState {
+            x,
+            y,
+            heading,
+            ..RobotState::default()
+        };
         Self {
             actuator: Actuator::new(&setup.params, STEP),
             plant: Plant::new(setup.params),
@@ -137,7 +145,12 @@ impl Body {
             let Event::Torque(command) = received.event else {
                 continue;
             };
-            if !self.is_newer(now, &command) || self.board.receive(now, command.torque, command.validity).is_err() {
+            if !self.is_newer(now, &command)
+                || self
+                    .board
+                    .receive(now, command.torque, command.validity)
+                    .is_err()
+            {
                 self.refused_commands += 1;
                 continue;
             }
@@ -148,7 +161,9 @@ impl Body {
     /// One sensor frame, sampled now; `None` if the plant's state is beyond what a frame can carry.
     pub fn sense(&mut self) -> Option<Frame> {
         let around = self.surroundings();
-        let accelerations = self.plant.accelerations(&self.state, self.actuator.torque(), &around);
+        let accelerations = self
+            .plant
+            .accelerations(&self.state, self.actuator.torque(), &around);
         let imu = self.plant.imu(&self.state, &accelerations, &around);
         let now = self.board_now();
         let status = self.board.status(now);
@@ -204,7 +219,8 @@ impl Body {
     fn surroundings(&self) -> crate::disturbance::Surroundings {
         let elapsed = Span::from_nanos(self.steps * STEP.as_nanos()).as_secs_f64();
         let s = &self.state.robot;
-        self.disturbance.surroundings(self.plant.params(), elapsed, s.x, s.y)
+        self.disturbance
+            .surroundings(self.plant.params(), elapsed, s.x, s.y)
     }
 
     /// A repeated or overtaken command is not obeyed (modulo 2³²). Once the last one's validity has run out any number is new:

@@ -3,19 +3,19 @@
 //!
 //! Modules in reading order:
 
-pub mod scenario;
-pub mod run;
-pub mod world;
-pub mod body;
-pub mod plant;
-pub mod friction;
-pub mod disturbance;
-pub mod integrator;
 pub mod actuator;
-pub mod sensor;
-pub mod network;
-pub mod trace;
+pub mod body;
+pub mod disturbance;
+pub mod friction;
+pub mod integrator;
 pub mod metrics;
+pub mod network;
+pub mod output;
+pub mod plant;
 pub mod plot;
 pub mod report;
-pub mod output;
+pub mod run;
+pub mod scenario;
+pub mod sensor;
+pub mod trace;
+pub mod world;

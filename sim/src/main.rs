@@ -63,7 +63,10 @@ fn run_scenario(args: &RunArgs) -> anyhow::Result<()> {
     sets.extend(args.seed.map(|seed| format!("seed={seed}")));
     let scenario = output::read_scenario(&args.scenario, &sets)?;
     let run = timed(&scenario)?;
-    let name = args.scenario.file_stem().map_or_else(|| "run".into(), |stem| stem.to_string_lossy().into_owned());
+    let name = args
+        .scenario
+        .file_stem()
+        .map_or_else(|| "run".into(), |stem| stem.to_string_lossy().into_owned());
     if let Some(folder) = &args.out {
         write(folder, &scenario, &run, &name)?;
     }
@@ -72,12 +75,19 @@ fn run_scenario(args: &RunArgs) -> anyhow::Result<()> {
         writeln!(stdout, "{}", run.metrics.json())?;
     } else {
         let folder = args.out.as_ref().map(|folder| folder.display().to_string());
-        write!(stdout, "{}", report::summary(&run.metrics, folder.as_deref(), stdout.is_terminal()))?;
+        write!(
+            stdout,
+            "{}",
+            report::summary(&run.metrics, folder.as_deref(), stdout.is_terminal())
+        )?;
     }
     Ok(())
 }
 
-#[allow(clippy::disallowed_methods, reason = "wall_s reports how long the run took; nothing depends on it")]
+#[allow(
+    clippy::disallowed_methods,
+    reason = "wall_s reports how long the run took; nothing depends on it"
+)]
 fn timed(scenario: &Scenario) -> anyhow::Result<Run> {
     let begin = Instant::now();
     Ok(run(scenario, || begin.elapsed().as_secs_f64())?)

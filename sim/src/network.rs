@@ -34,7 +34,13 @@ pub struct Link {
 impl Link {
     /// A link with its own random stream.
     pub fn new(model: LinkModel, random: ChaCha8Rng) -> Self {
-        Self { model, random, sent: 0, lost: 0, bytes: 0 }
+        Self {
+            model,
+            random,
+            sent: 0,
+            lost: 0,
+            bytes: 0,
+        }
     }
 
     /// Hands over a packet of `bytes` bytes: its delay, or `None` if it is lost.
@@ -49,7 +55,9 @@ impl Link {
             self.lost += 1;
             return None;
         }
-        Some(Span::from_secs_f64((self.model.delay + self.model.jitter * normal).max(0.0)))
+        Some(Span::from_secs_f64(
+            (self.model.delay + self.model.jitter * normal).max(0.0),
+        ))
     }
 }
 
@@ -61,9 +69,16 @@ mod tests {
 
     #[test]
     fn a_link_delays_and_loses_as_its_model_says() {
-        let model = LinkModel { delay: 0.1, jitter: 0.02, loss: 0.1 };
+        let model = LinkModel {
+            delay: 0.1,
+            jitter: 0.02,
+            loss: 0.1,
+        };
         let mut link = Link::new(model, ChaCha8Rng::seed_from_u64(1));
-        let delays: Vec<f64> = (0..20_000).filter_map(|_| link.transmit(100)).map(Span::as_secs_f64).collect();
+        let delays: Vec<f64> = (0..20_000)
+            .filter_map(|_| link.transmit(100))
+            .map(Span::as_secs_f64)
+            .collect();
         let n = delays.len() as f64;
         let mean = delays.iter().sum::<f64>() / n;
         let deviation = (delays.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / n).sqrt();
@@ -78,7 +93,11 @@ mod tests {
     #[test]
     fn loss_leaves_the_delays_of_the_packets_that_arrive_alone() {
         let run = |loss| {
-            let model = LinkModel { delay: 0.1, jitter: 0.02, loss };
+            let model = LinkModel {
+                delay: 0.1,
+                jitter: 0.02,
+                loss,
+            };
             let mut link = Link::new(model, ChaCha8Rng::seed_from_u64(7));
             (0..1000).map(|_| link.transmit(1)).collect::<Vec<_>>()
         };

@@ -39,7 +39,12 @@ pub fn run(scenario: &Scenario, elapsed: impl FnOnce() -> f64) -> Result<Run, Ga
     let metrics = RunMetrics::new(world.trace(), record, &records);
     let mission_starts = records.iter().map(|record| record.mission_start).collect();
     let (trace, reports) = world.into_parts();
-    Ok(Run { trace, metrics, reports, mission_starts })
+    Ok(Run {
+        trace,
+        metrics,
+        reports,
+        mission_starts,
+    })
 }
 
 impl Run {

@@ -11,13 +11,14 @@ use rand_distr::{Distribution, StandardUniform};
 use sphere_agent::agent::{Agent, Event as AgentEvent, Input as AgentInput, Output as AgentOutput};
 use sphere_agent::config::{AgentConfig, Timing};
 use sphere_agent::control::DirectionChoice;
-use sphere_agent::gains::GainsError;
 use sphere_agent::estimator::{EstimatorConfig, StartPose};
+use sphere_agent::gains::GainsError;
 use sphere_ground::station::{
-    Event as StationEvent, Input as StationInput, Output as StationOutput, RobotConfig, Station, StationConfig,
+    Event as StationEvent, Input as StationInput, Output as StationOutput, RobotConfig, Station,
+    StationConfig,
 };
 use sphere_ground::tasking::StartCondition;
-use sphere_ground::trajectory::Mission;
+use sphere_ground::trajectory::{Mission, ReferencePoint};
 use sphere_protocol::key::Key;
 use sphere_protocol::message::PlanId;
 use sphere_protocol::robot::RobotId;
@@ -27,7 +28,7 @@ use crate::body::{Body, BodyRandom, BodySetup, Purpose, stream};
 use crate::disturbance::{Disturbance, Push};
 use crate::metrics::{RobotRecord, SolverCounts};
 use crate::network::{Link, LinkModel};
-use crate::scenario::{self, Loss, MissionSetup, RollController, RobotSetup, Scenario};
+use crate::scenario::{self, Loss, MissionSetup, RobotSetup, RollController, Scenario};
 use crate::sensor::Sensors;
 use crate::trace::{Command, ROW_PERIOD, Reference, Row, Trace};
 
@@ -89,16 +90,39 @@ struct Entry {
 }
 
 enum Happening {
-    Sense { robot: usize },
-    TakeFix { robot: usize },
-    FixArrives { robot: usize },
-    BoardHeartbeat { robot: usize },
-    FrameToAgent { robot: usize, bytes: Vec<u8> },
-    FrameToBoard { robot: usize, bytes: Vec<u8> },
-    AgentTimeout { robot: usize },
+    Sense {
+        robot: usize,
+    },
+    TakeFix {
+        robot: usize,
+    },
+    FixArrives {
+        robot: usize,
+    },
+    BoardHeartbeat {
+        robot: usize,
+    },
+    FrameToAgent {
+        robot: usize,
+        bytes: Vec<u8>,
+    },
+    FrameToBoard {
+        robot: usize,
+        bytes: Vec<u8>,
+    },
+    AgentTimeout {
+        robot: usize,
+    },
     StationTimeout,
-    ToAgent { robot: usize, key: Vec<u8>, bytes: Vec<u8> },
-    ToStation { key: Vec<u8>, bytes: Vec<u8> },
+    ToAgent {
+        robot: usize,
+        key: Vec<u8>,
+        bytes: Vec<u8>,
+    },
+    ToStation {
+        key: Vec<u8>,
+        bytes: Vec<u8>,
+    },
     Sample,
 }
 
@@ -260,11 +284,24 @@ impl World {
             }
             Happening::ToAgent { robot, key, bytes } => {
                 let key = String::from_utf8_lossy(&key);
-                self.agent_input(now, robot, AgentInput::Message { key: &key, bytes: &bytes });
+                self.agent_input(
+                    now,
+                    robot,
+                    AgentInput::Message {
+                        key: &key,
+                        bytes: &bytes,
+                    },
+                );
             }
             Happening::ToStation { key, bytes } => {
                 let key = String::from_utf8_lossy(&key);
-                self.station_input(now, StationInput::Message { key: &key, bytes: &bytes });
+                self.station_input(
+                    now,
+                    StationInput::Message {
+                        key: &key,
+                        bytes: &bytes,
+                    },
+                );
             }
             Happening::StationTimeout => {
                 if self.station_due == now {
@@ -280,7 +317,13 @@ impl World {
 
     fn frame_to_agent(&mut self, now: WorldTime, robot: usize, frame: &[u8]) {
         self.trace.absorb("motor", frame);
-        self.schedule(now + MOTOR_LINK, Happening::FrameToAgent { robot, bytes: frame.to_vec() });
+        self.schedule(
+            now + MOTOR_LINK,
+            Happening::FrameToAgent {
+                robot,
+                bytes: frame.to_vec(),
+            },
+        );
     }
 
     fn agent_input(&mut self, now: WorldTime, robot: usize, input: AgentInput<'_>) {
@@ -292,9 +335,20 @@ impl World {
                 AgentOutput::Motor(frame) => {
                     self.trace.absorb("motor", &frame);
                     let arrival = now + CONTROL_TIME + MOTOR_LINK;
-                    self.schedule(arrival, Happening::FrameToBoard { robot, bytes: frame.to_vec() });
+                    self.schedule(
+                        arrival,
+                        Happening::FrameToBoard {
+                            robot,
+                            bytes: frame.to_vec(),
+                        },
+                    );
                 }
-                AgentOutput::Publish { direction, topic, bytes, .. } => {
+                AgentOutput::Publish {
+                    direction,
+                    topic,
+                    bytes,
+                    ..
+                } => {
                     self.trace.absorb(topic, &bytes);
                     let cell = &mut self.robots[robot];
                     let Ok(key) = Key::new(&cell.id, direction, topic) else {
@@ -303,7 +357,10 @@ impl World {
                     let key = key.text().as_bytes().to_vec();
                     if let Some(delay) = cell.up.transmit(bytes.len()) {
                         let bytes = bytes.to_vec();
-                        self.schedule(now + CONTROL_TIME + delay, Happening::ToStation { key, bytes });
+                        self.schedule(
+                            now + CONTROL_TIME + delay,
+                            Happening::ToStation { key, bytes },
+                        );
                     }
                 }
                 AgentOutput::Event(event) => {
@@ -326,7 +383,12 @@ impl World {
         self.station.handle_input(station_now, input);
         while let Some(output) = self.station.poll_output() {
             match output {
-                StationOutput::Publish { robot: id, key, bytes, .. } => {
+                StationOutput::Publish {
+                    robot: id,
+                    key,
+                    bytes,
+                    ..
+                } => {
                     self.trace.absorb(&key, &bytes);
                     let Some(robot) = self.robots.iter().position(|cell| cell.id == id) else {
                         continue;
@@ -334,10 +396,15 @@ impl World {
                     let key = key.as_bytes().to_vec();
                     if let Some(delay) = self.robots[robot].down.transmit(bytes.len()) {
                         let bytes = bytes.to_vec();
-                        self.schedule(now + PLANNING_TIME + delay, Happening::ToAgent { robot, key, bytes });
+                        self.schedule(
+                            now + PLANNING_TIME + delay,
+                            Happening::ToAgent { robot, key, bytes },
+                        );
                     }
                 }
-                StationOutput::Event { robot, event } => self.report(now, robot, Reported::Station(event)),
+                StationOutput::Event { robot, event } => {
+                    self.report(now, robot, Reported::Station(event))
+                }
             }
         }
         let due = Span::from_nanos(self.station.poll_timeout().as_nanos()) - self.station_clock;
@@ -352,10 +419,21 @@ impl World {
         for cell in &mut self.robots {
             cell.body.advance(now);
             let agent_now = Instant::<AgentClock>::from_nanos(now.as_nanos()) + cell.clock;
-            let mission = self.station.session(&cell.id).and_then(|session| session.task().running());
+            let mission = self
+                .station
+                .session(&cell.id)
+                .and_then(|session| session.task().running());
             let reference = mission.map(|(trajectory, anchor)| {
-                cell.mission_started.get_or_insert_with(|| Span::from_nanos(anchor.as_nanos()) - cell.clock);
-                Reference::from(trajectory.reference((agent_now - anchor).as_secs_f64()))
+                cell.mission_started
+                    .get_or_insert_with(|| Span::from_nanos(anchor.as_nanos()) - cell.clock);
+                let t = (agent_now - anchor).as_secs_f64();
+                // Errors count from the path as the mission states it, not from the planner's drivable form of it.
+                let [x, y] = trajectory.nominal(t);
+                Reference::from(ReferencePoint {
+                    x,
+                    y,
+                    ..trajectory.reference(t)
+                })
             });
             let playback = cell.agent.playback();
             if playback.newest() != cell.newest_plan {
@@ -385,7 +463,11 @@ impl World {
         self.robots
             .iter()
             .map(|cell| {
-                let counters = self.station.session(&cell.id).map(|session| *session.counters()).unwrap_or_default();
+                let counters = self
+                    .station
+                    .session(&cell.id)
+                    .map(|session| *session.counters())
+                    .unwrap_or_default();
                 RobotRecord {
                     robot: cell.id,
                     mission_start: cell.mission_started,
@@ -406,12 +488,20 @@ impl World {
     }
 
     fn report(&mut self, now: WorldTime, robot: RobotId, what: Reported) {
-        self.reports.push(Report { t_s: now.as_secs_f64(), robot, what });
+        self.reports.push(Report {
+            t_s: now.as_secs_f64(),
+            robot,
+            what,
+        });
     }
 
     fn schedule(&mut self, at: WorldTime, what: Happening) {
         self.caused += 1;
-        self.queue.push(Reverse(Entry { at, order: self.caused, what }));
+        self.queue.push(Reverse(Entry {
+            at,
+            order: self.caused,
+            what,
+        }));
     }
 }
 
@@ -439,13 +529,21 @@ impl SimRobot {
             id: setup.id,
             robot: setup.model.robot.clone(),
             boot_id,
-            estimator: EstimatorConfig { start: StartPose { x, y, heading, ..StartPose::default() }, ..Default::default() },
+            estimator: EstimatorConfig {
+                start: StartPose {
+                    x,
+                    y,
+                    heading,
+                    ..StartPose::default()
+                },
+                ..Default::default()
+            },
             direction: match setup.roll_controller {
                 RollController::Htsmc => DirectionChoice::Htsmc,
                 // The scenario format has them, the simulator refuses them with "not yet".
-                RollController::HtsmcPaper | RollController::FuzzyPid | RollController::FuzzyPidSingle => {
-                    DirectionChoice::Htsmc
-                }
+                RollController::HtsmcPaper
+                | RollController::FuzzyPid
+                | RollController::FuzzyPidSingle => DirectionChoice::Htsmc,
             },
             timing: Timing::default(),
         };
@@ -454,7 +552,11 @@ impl SimRobot {
                 Loss::Independent(loss) => loss,
                 Loss::Burst { .. } => 0.0,
             };
-            let model = LinkModel { delay: model.delay().as_secs_f64(), jitter: model.jitter().as_secs_f64(), loss };
+            let model = LinkModel {
+                delay: model.delay().as_secs_f64(),
+                jitter: model.jitter().as_secs_f64(),
+                loss,
+            };
             Link::new(model, stream(scenario.seed, index, purpose))
         };
         Ok(Self {
@@ -480,7 +582,12 @@ fn disturbance(setup: &scenario::Disturbance) -> Disturbance {
         pushes: setup
             .pushes
             .iter()
-            .map(|push| Push { roll_nm: push.roll_nm, pitch_nm: 0.0, at_s: push.at_s, for_s: push.for_s })
+            .map(|push| Push {
+                roll_nm: push.roll_nm,
+                pitch_nm: 0.0,
+                at_s: push.at_s,
+                for_s: push.for_s,
+            })
             .collect(),
         ..Disturbance::default()
     }

@@ -119,9 +119,18 @@ impl Bus {
             let _ = opened.send(zenoh::open(config).wait());
         });
         match result.recv_timeout(timeout) {
-            Ok(Ok(session)) => Ok(Self { session, publishers: Mutex::default() }),
-            Ok(Err(error)) => Err(BusError::Open { role: role.to_string(), why: first_line(&error.to_string()) }),
-            Err(_) => Err(BusError::Timeout { timeout, role: role.to_string() }),
+            Ok(Ok(session)) => Ok(Self {
+                session,
+                publishers: Mutex::default(),
+            }),
+            Ok(Err(error)) => Err(BusError::Open {
+                role: role.to_string(),
+                why: first_line(&error.to_string()),
+            }),
+            Err(_) => Err(BusError::Timeout {
+                timeout,
+                role: role.to_string(),
+            }),
         }
     }
 
@@ -130,15 +139,25 @@ impl Bus {
     /// # Errors
     /// The key is none, or the session is closed. A refusal by access control looks like success.
     pub fn publish(&self, key: &str, qos: Qos, bytes: &[u8]) -> Result<(), BusError> {
-        let refused = |error: zenoh::Error| BusError::Key { key: key.to_owned(), why: first_line(&error.to_string()) };
-        let mut publishers = self.publishers.lock().unwrap_or_else(PoisonError::into_inner);
+        let refused = |error: zenoh::Error| BusError::Key {
+            key: key.to_owned(),
+            why: first_line(&error.to_string()),
+        };
+        let mut publishers = self
+            .publishers
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         if !publishers.contains_key(key) {
             let urgent = qos == Qos::Urgent;
             let publisher = self
                 .session
                 .declare_publisher(key.to_owned())
                 .congestion_control(CongestionControl::Drop)
-                .priority(if urgent { Priority::InteractiveHigh } else { Priority::Data })
+                .priority(if urgent {
+                    Priority::InteractiveHigh
+                } else {
+                    Priority::Data
+                })
                 .express(urgent)
                 .allowed_destination(Locality::Remote)
                 .wait()
@@ -174,7 +193,10 @@ impl Bus {
             })
             .wait()
             .map(Declared::Subscriber)
-            .map_err(|error| BusError::Key { key: selector.to_owned(), why: first_line(&error.to_string()) })
+            .map_err(|error| BusError::Key {
+                key: selector.to_owned(),
+                why: first_line(&error.to_string()),
+            })
     }
 
     /// Shows a sign of life on `key` for as long as what it returns lives. A hint: it may outlive a crash.
@@ -187,7 +209,10 @@ impl Bus {
             .declare_token(key.to_owned())
             .wait()
             .map(Declared::Alive)
-            .map_err(|error| BusError::Key { key: key.to_owned(), why: first_line(&error.to_string()) })
+            .map_err(|error| BusError::Key {
+                key: key.to_owned(),
+                why: first_line(&error.to_string()),
+            })
     }
 
     /// Calls `on_change` for every sign of life on keys that `selector` matches: those that are there, and each that comes or goes.
@@ -212,7 +237,10 @@ impl Bus {
             })
             .wait()
             .map(Declared::Subscriber)
-            .map_err(|error| BusError::Key { key: selector.to_owned(), why: first_line(&error.to_string()) })
+            .map_err(|error| BusError::Key {
+                key: selector.to_owned(),
+                why: first_line(&error.to_string()),
+            })
     }
 
     /// Closes the session now.
@@ -231,7 +259,8 @@ impl Role {
             // Reconnection within a second of a router's return.
             (
                 "connect/retry",
-                r#"{ "period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5 }"#.to_owned(),
+                r#"{ "period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5 }"#
+                    .to_owned(),
             ),
         ];
         match self {
@@ -249,7 +278,11 @@ impl Role {
         for (key, value) in settings {
             config
                 .insert_json5(key, &value)
-                .map_err(|error| BusError::Config { key, value: value.clone(), why: first_line(&error.to_string()) })?;
+                .map_err(|error| BusError::Config {
+                    key,
+                    value: value.clone(),
+                    why: first_line(&error.to_string()),
+                })?;
         }
         Ok(config)
     }
@@ -280,7 +313,10 @@ struct InboxState {
 impl Inbox {
     /// An inbox for `capacity` messages.
     pub fn new(capacity: usize) -> Self {
-        Self { shared: Arc::default(), capacity }
+        Self {
+            shared: Arc::default(),
+            capacity,
+        }
     }
 
     /// Adds a message; drops the oldest if it is full.
@@ -295,12 +331,19 @@ impl Inbox {
 
     /// Takes the oldest message.
     pub fn pop(&self) -> Option<Received> {
-        self.shared.lock().unwrap_or_else(PoisonError::into_inner).messages.pop_front()
+        self.shared
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .messages
+            .pop_front()
     }
 
     /// How many were dropped since the start.
     pub fn dropped(&self) -> u64 {
-        self.shared.lock().unwrap_or_else(PoisonError::into_inner).dropped
+        self.shared
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .dropped
     }
 }
 

@@ -13,13 +13,22 @@ pub struct Clock<C> {
 
 impl<C> Clock<C> {
     /// A clock that begins now.
-    #[allow(clippy::disallowed_methods, reason = "this is where the cores' time comes from")]
+    #[allow(
+        clippy::disallowed_methods,
+        reason = "this is where the cores' time comes from"
+    )]
     pub fn start() -> Self {
-        Self { origin: Monotonic::now(), clock: PhantomData }
+        Self {
+            origin: Monotonic::now(),
+            clock: PhantomData,
+        }
     }
 
     /// Now.
-    #[allow(clippy::disallowed_methods, reason = "this is where the cores' time comes from")]
+    #[allow(
+        clippy::disallowed_methods,
+        reason = "this is where the cores' time comes from"
+    )]
     pub fn now(&self) -> Instant<C> {
         let elapsed = Monotonic::now() - self.origin;
         Instant::from_nanos(i64::try_from(elapsed.as_nanos()).unwrap_or(i64::MAX))

@@ -22,7 +22,9 @@ pub struct UdpLink {
 #[derive(Debug, Error)]
 pub enum LinkError {
     /// The local address is taken or not ours.
-    #[error("motor link: cannot listen on {local}: {error}; choose another address or end the program that has it")]
+    #[error(
+        "motor link: cannot listen on {local}: {error}; choose another address or end the program that has it"
+    )]
     Bind {
         /// The local address.
         local: SocketAddr,
@@ -54,7 +56,9 @@ impl UdpLink {
     /// # Errors
     /// The peer's address is impossible.
     pub fn pinned(socket: UdpSocket, peer: SocketAddr) -> Result<Self, LinkError> {
-        socket.connect(peer).map_err(|error| LinkError::Peer { peer, error })?;
+        socket
+            .connect(peer)
+            .map_err(|error| LinkError::Peer { peer, error })?;
         Ok(Self { socket })
     }
 
@@ -62,9 +66,14 @@ impl UdpLink {
     ///
     /// # Errors
     /// The socket is broken. A peer that does not listen is no error: it may come back.
-    pub fn receive<'b>(&self, buffer: &'b mut [u8], timeout: Duration) -> io::Result<Option<&'b [u8]>> {
+    pub fn receive<'b>(
+        &self,
+        buffer: &'b mut [u8],
+        timeout: Duration,
+    ) -> io::Result<Option<&'b [u8]>> {
         // A zero timeout would mean "for ever".
-        self.socket.set_read_timeout(Some(timeout.max(Duration::from_micros(1))))?;
+        self.socket
+            .set_read_timeout(Some(timeout.max(Duration::from_micros(1))))?;
         match self.socket.recv(buffer) {
             Ok(length) => Ok(Some(&buffer[..length])),
             Err(error) if is_passing(&error) => Ok(None),
@@ -96,5 +105,8 @@ impl UdpLink {
 /// Nothing there now: no datagram in time, a full queue, or a peer whose port is closed (the ICMP answer to an earlier datagram).
 fn is_passing(error: &io::Error) -> bool {
     use io::ErrorKind::{ConnectionRefused, Interrupted, TimedOut, WouldBlock};
-    matches!(error.kind(), WouldBlock | TimedOut | Interrupted | ConnectionRefused)
+    matches!(
+        error.kind(),
+        WouldBlock | TimedOut | Interrupted | ConnectionRefused
+    )
 }
