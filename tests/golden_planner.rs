@@ -1,6 +1,7 @@
 //! The planner against golden vectors: problems solved by IPOPT and polished to a first-order residual of 5e-13, eqs (1), (2) and
 //! the terminal weight, each computed elsewhere by other code.
 
+#[allow(unreachable_pub, reason = "shared by several test binaries")]
 mod support;
 
 use serde_json::Value;

@@ -118,8 +118,8 @@ fn wrong_input_exits_with_2_and_says_what_and_where() {
         ("[]".to_owned(), &["no problem"]),
         ("3".to_owned(), &["must hold a problem"]),
         (
-            with("uref_mps", json!([])),
-            &[":1", "instance 7", "`uref_mps`", "`uref_mps_rad`"],
+            with("uref_mps_ra", json!([])),
+            &[":1", "instance 7", "`uref_mps_ra`", "`uref_mps_rad`"],
         ),
         (
             json!({ "instances": [instance()], "nota": "" }).to_string(),
@@ -161,8 +161,8 @@ fn wrong_input_exits_with_2_and_says_what_and_where() {
         (with("lag_tau_s", json!(0.4)), &["`lag_tau_s` must be null"]),
         (with("n_x", json!(5)), &["`n_x` must be 3 for kind `std`"]),
         (
-            with("soft_halfplane", json!({ "normal": [1, 0] })),
-            &["`normal`", "`normal_unitless`"],
+            with("soft_halfplane", json!({ "normal_unitles": [1, 0] })),
+            &["`normal_unitles`", "`normal_unitless`"],
         ),
         (with("dt_s", json!(null)), &["`dt_s` is missing"]),
         (

@@ -1,6 +1,10 @@
 //! Problems of a robot that tracks the paper's trajectories, for the planner's tests.
 
-#![allow(dead_code, reason = "each test binary uses its own part")]
+#![allow(
+    dead_code,
+    unreachable_pub,
+    reason = "each test binary uses its own part"
+)]
 
 use nalgebra::{SVector, Vector2};
 use sphere_ground::kinematics::Discretisation;

@@ -12,6 +12,26 @@ use super::subproblem::Point;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Infeasible;
 
+/// How bounds from the turn limit follow the speeds of a new iterate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Follow {
+    Fully,
+    Partly(f64),
+    Inwards,
+}
+
+impl Follow {
+    /// For iteration `iteration`, from 1.
+    pub(super) fn at(iteration: u32) -> Self {
+        match iteration {
+            ..=6 => Self::Fully,
+            7..=20 => Self::Partly(0.5),
+            21..=60 => Self::Partly(0.2),
+            _ => Self::Inwards,
+        }
+    }
+}
+
 /// Lower and upper bounds of the inputs, N rows each.
 #[derive(Clone, Debug)]
 pub(super) struct Bounds {
@@ -27,22 +47,34 @@ impl Bounds {
         }
     }
 
-    /// Sets the bounds for the speeds of `point`; only narrows the last ones if `narrow`.
+    /// Sets the bounds for the speeds of `point`. Returns by how much they miss those that the speeds ask for [rad].
+    ///
+    /// A slower plan may roll more and one that rolls more be slower: the two can chase each other, so later iterations follow
+    /// partly, and the last ones only narrow (where narrower is no miss).
     pub(super) fn refresh<const NX: usize>(
         &mut self,
         problem: &Problem<NX>,
         point: &Point<NX>,
-        narrow: bool,
-    ) {
+        follow: Follow,
+    ) -> f64 {
+        let mut missed: f64 = 0.0;
         for i in 0..self.lower.len() {
-            let (mut min, mut max) = roll_bounds(problem, point, i);
-            if narrow {
-                min = min.max(self.lower[i][1]);
-                max = max.min(self.upper[i][1]);
-            }
-            self.lower[i] = Vector2::new(problem.u_min[i][0], min);
-            self.upper[i] = Vector2::new(problem.u_max[i][0], max);
+            let (min, max) = roll_bounds(problem, point, i);
+            let (last_min, last_max) = (self.lower[i][1], self.upper[i][1]);
+            let (lower, upper) = match follow {
+                Follow::Fully => (min, max),
+                Follow::Partly(share) => {
+                    let lower = last_min + share * (min - last_min);
+                    let upper = last_max + share * (max - last_max);
+                    missed = missed.max((lower - min).abs()).max((upper - max).abs());
+                    (lower, upper)
+                }
+                Follow::Inwards => (min.max(last_min), max.min(last_max)),
+            };
+            self.lower[i] = Vector2::new(problem.u_min[i][0], lower);
+            self.upper[i] = Vector2::new(problem.u_max[i][0], upper);
         }
+        missed
     }
 
     /// Moves the inputs of `point` into the bounds, and within `du_max` of their predecessor.

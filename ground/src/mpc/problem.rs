@@ -50,7 +50,8 @@ pub struct Problem<const NX: usize> {
     /// Soft half-planes, N rows: row i holds those for the position of xᵢ₊₁.
     pub half_planes: Vec<ArrayVec<HalfPlane, HALF_PLANES_MAX>>,
     /// Greatest tan|q_c| v² [m²/s²]. Bounds q_c of each knot by the speed of the same plan: a bound on the roll, which never
-    /// trades speed for roll.
+    /// trades speed for roll. The bound follows the iterates; where plan and bound chase each other, far from the reference,
+    /// it ends narrower than the speed asks for.
     pub turn_limit: Option<f64>,
 }
 

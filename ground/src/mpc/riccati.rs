@@ -9,7 +9,7 @@
 
 use nalgebra::{SMatrix, SVector, Vector2};
 
-use super::subproblem::{Step, Subproblem};
+use super::subproblem::{Hessian, Step, Subproblem};
 
 /// Which bound holds an input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,15 +75,15 @@ impl<const NX: usize> Riccati<NX> {
         &self.stages[k].gain
     }
 
-    /// Solves `subproblem`, with its curvature if `exact`, and writes the step.
+    /// Solves `subproblem`, with `hessian`, and writes the step.
     pub(super) fn solve(
         &mut self,
         subproblem: &mut Subproblem<NX>,
-        exact: bool,
+        hessian: Hessian,
         step: &mut Step<NX>,
     ) -> Result<(), RiccatiError> {
         for _ in 0..SWEEPS_MAX {
-            self.backward(subproblem, exact)?;
+            self.backward(subproblem, hessian)?;
             if !self.forward(subproblem, step) {
                 return Ok(());
             }
@@ -95,9 +95,10 @@ impl<const NX: usize> Riccati<NX> {
     pub(super) fn backward(
         &mut self,
         subproblem: &Subproblem<NX>,
-        exact: bool,
+        hessian: Hessian,
     ) -> Result<(), RiccatiError> {
         let horizon = self.stages.len();
+        let exact = hessian == Hessian::Exact;
         let mut pp = SMatrix::zeros();
         let mut p = SVector::zeros();
         add_state_cost(subproblem, horizon, &mut pp, &mut p);
@@ -106,7 +107,7 @@ impl<const NX: usize> Riccati<NX> {
             let feedback = &mut self.stages[i];
             feedback.pp = pp;
             feedback.p = p;
-            let pa = pp * stage.a;
+            let pa = stage.times_a(&pp);
             let pb = pp * stage.b;
             let pc = p + pp * stage.c;
             let mut huu = stage.b.tr_mul(&pb);
@@ -132,7 +133,7 @@ impl<const NX: usize> Riccati<NX> {
                 break; // δx₀ = 0: its value function is of no use.
             }
             // P = W + AᵀPA + KᵀHux, p = w + Aᵀ(p + Pc) + Huxᵀk: with K and k of a fixed input this holds as well.
-            let mut next = stage.a.tr_mul(&pa) + feedback.gain.tr_mul(&hux);
+            let mut next = stage.a_transposed_times(&pa) + feedback.gain.tr_mul(&hux);
             if exact {
                 next += stage.curvature.xx;
             }
@@ -150,14 +151,19 @@ impl<const NX: usize> Riccati<NX> {
         for (i, feedback) in self.stages.iter().enumerate() {
             let stage = &subproblem.stages[i];
             let du = feedback.gain * dx + feedback.k;
-            let gradient = feedback.h + feedback.hux * dx + feedback.huu * du;
             for j in 0..2 {
+                // Gradient of the cost-to-go: of interest where a bound holds the input.
+                let gradient = || {
+                    feedback.h[j]
+                        + feedback.hux.row(j).tr_dot(&dx)
+                        + feedback.huu.row(j).tr_dot(&du)
+                };
                 let next = match self.active[i][j] {
                     Active::Free if du[j] < stage.du_min[j] - SLACK => Active::Lower,
                     Active::Free if du[j] > stage.du_max[j] + SLACK => Active::Upper,
                     // Minimum at the lower bound: the cost rises inwards.
-                    Active::Lower if gradient[j] < -SLACK => Active::Free,
-                    Active::Upper if gradient[j] > SLACK => Active::Free,
+                    Active::Lower if gradient() < -SLACK => Active::Free,
+                    Active::Upper if gradient() > SLACK => Active::Free,
                     same => same,
                 };
                 changed |= next != self.active[i][j];

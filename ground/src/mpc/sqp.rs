@@ -6,11 +6,11 @@
 
 use nalgebra::{SVector, Vector2};
 
-use super::bounds::Bounds;
+use super::bounds::{Bounds, Follow};
 use super::clarabel::{ClarabelError, ClarabelQp};
 use super::problem::Problem;
 use super::riccati::{Active, Riccati, RiccatiError};
-use super::subproblem::{Point, Step, Subproblem, cost, first_state};
+use super::subproblem::{Hessian, Point, Step, Subproblem, cost, first_state};
 
 /// The iterate and the buffers of one problem size.
 pub(super) struct Sqp<const NX: usize> {
@@ -140,8 +140,9 @@ impl<const NX: usize> Sqp<NX> {
                 outcome,
                 iterations: iteration,
             };
-            let narrow = iteration > TURN_LIMIT_FREE;
-            self.bounds.refresh(problem, &self.point, narrow);
+            let missed = self
+                .bounds
+                .refresh(problem, &self.point, Follow::at(iteration));
             if self.bounds.restrict(problem, &mut self.point).is_err() {
                 return run(Outcome::Infeasible);
             }
@@ -157,7 +158,7 @@ impl<const NX: usize> Sqp<NX> {
                 Err(StepError::Infeasible) => return run(Outcome::Infeasible),
                 Err(StepError::None) => return run(Outcome::Stalled),
             };
-            if size <= tolerance {
+            if size <= tolerance && missed <= BOUNDS_SETTLED {
                 return run(Outcome::Converged);
             }
         }
@@ -169,7 +170,7 @@ impl<const NX: usize> Sqp<NX> {
 
     /// Makes a point that did not converge drivable: inputs within bounds, states rolled out from them.
     pub(super) fn make_drivable(&mut self, problem: &Problem<NX>) {
-        self.bounds.refresh(problem, &self.point, false);
+        self.bounds.refresh(problem, &self.point, Follow::Fully);
         // Feasibility was settled when the run began; an input that is not finite falls back to its bound or reference.
         for (u, u_ref) in self.point.u.iter_mut().zip(&problem.u_ref) {
             for j in 0..2 {
@@ -205,7 +206,9 @@ impl<const NX: usize> Sqp<NX> {
         for plane in self.subproblem.planes.iter_mut().flatten() {
             plane.active = plane.gap < 0.0;
         }
-        let _ = self.riccati.backward(&self.subproblem, false);
+        let _ = self
+            .riccati
+            .backward(&self.subproblem, Hessian::GaussNewton);
     }
 
     /// Feedback gain of knot `k` in the last subproblem.
@@ -226,10 +229,13 @@ impl<const NX: usize> Sqp<NX> {
         problem: &Problem<NX>,
         quadratic: &mut Quadratic<'_, NX>,
     ) -> Result<(f64, f64), StepError> {
-        let mut exact = matches!(quadratic, Quadratic::Riccati);
-        loop {
+        let hessians: &[Hessian] = match quadratic {
+            Quadratic::Riccati => &[Hessian::Exact, Hessian::GaussNewton],
+            Quadratic::Clarabel(_) => &[Hessian::GaussNewton],
+        };
+        for &hessian in hessians {
             let found = match quadratic {
-                Quadratic::Riccati => self.solve_by_riccati(exact),
+                Quadratic::Riccati => self.solve_by_riccati(hessian),
                 Quadratic::Clarabel(clarabel) => clarabel
                     .solve(problem, &self.point, &self.subproblem, &mut self.step)
                     .map_err(|error| match error {
@@ -237,38 +243,60 @@ impl<const NX: usize> Sqp<NX> {
                         ClarabelError::Failed => StepError::None,
                     }),
             };
-            let size = self.step.size();
-            let alpha = match found {
-                Ok(()) if size <= FULL_STEP => Some(if exact { 1.0 } else { self.damping }),
-                Ok(()) if size.is_finite() => {
-                    let alpha = self.search(problem, if exact { ARMIJO_EXACT } else { ARMIJO });
-                    self.damping = alpha.unwrap_or(1.0);
-                    alpha
-                }
-                Ok(()) | Err(StepError::None) => None,
+            match found {
+                Ok(()) => {}
+                Err(StepError::None) => continue,
                 Err(error) => return Err(error),
-            };
-            let Some(alpha) = alpha else {
-                if !exact {
-                    return Err(StepError::None);
-                }
-                exact = false;
+            }
+            let size = self.step.size();
+            if !self.take(problem, hessian, size) {
                 continue;
-            };
-            self.take(alpha);
-            let tolerance = match (exact, quadratic) {
-                (true, _) => STEP_EXACT,
-                (false, Quadratic::Riccati) => STEP_GAUSS_NEWTON,
-                (false, Quadratic::Clarabel(_)) => STEP_CLARABEL,
+            }
+            let tolerance = match (hessian, quadratic) {
+                (Hessian::Exact, _) => STEP_EXACT,
+                (_, Quadratic::Riccati) => STEP_GAUSS_NEWTON,
+                (_, Quadratic::Clarabel(_)) => STEP_CLARABEL,
             };
             return Ok((size, tolerance));
         }
+        Err(StepError::None)
     }
 
-    fn solve_by_riccati(&mut self, exact: bool) -> Result<(), StepError> {
+    /// Goes along a step of `size` as far as is good; whether that is anywhere.
+    fn take(&mut self, problem: &Problem<NX>, hessian: Hessian, size: f64) -> bool {
+        let alpha = if size <= FULL_STEP {
+            let alpha = if hessian == Hessian::Exact {
+                1.0
+            } else {
+                self.damping
+            };
+            self.take_linear(alpha);
+            alpha
+        } else if size.is_finite() {
+            let armijo = if hessian == Hessian::GaussNewton {
+                ARMIJO
+            } else {
+                ARMIJO_EXACT
+            };
+            let Some(alpha) = self.search(problem, armijo) else {
+                return false;
+            };
+            core::mem::swap(&mut self.point, &mut self.trial);
+            self.damping = alpha;
+            alpha
+        } else {
+            return false;
+        };
+        for (lambda, target) in self.lambda.iter_mut().zip(&self.step.lambda) {
+            *lambda += (target - *lambda) * alpha;
+        }
+        true
+    }
+
+    fn solve_by_riccati(&mut self, hessian: Hessian) -> Result<(), StepError> {
         let mut solved = self
             .riccati
-            .solve(&mut self.subproblem, exact, &mut self.step);
+            .solve(&mut self.subproblem, hessian, &mut self.step);
         if solved == Err(RiccatiError::Cycling) {
             // From the empty set, once: a stale one may lie far from the solution's.
             self.riccati.active.fill([Active::Free; 2]);
@@ -277,12 +305,17 @@ impl<const NX: usize> Sqp<NX> {
             }
             solved = self
                 .riccati
-                .solve(&mut self.subproblem, exact, &mut self.step);
+                .solve(&mut self.subproblem, hessian, &mut self.step);
         }
         solved.map_err(|_| StepError::None)
     }
 
-    /// Length of the step by backtracking on φ = cost + μ Σ|F(xₖ, uₖ) − xₖ₊₁|₁ with Armijo's condition.
+    /// Length of the step by backtracking on φ = cost + μ Σ|F(xₖ, uₖ) − xₖ₊₁|₁ with Armijo's condition; `trial` is then the
+    /// point that met it.
+    ///
+    /// Trial states are rolled out from the trial inputs and so miss nothing. States on the linearised dynamics would miss by
+    /// the square of the step, which at a saddle outweighs all that a step can gain (the Maratos effect): there no step of
+    /// useful length is accepted.
     fn search(&mut self, problem: &Problem<NX>, armijo: f64) -> Option<f64> {
         // Exact penalty: μ above every multiplier of the dynamics.
         let mu = 1.1 * self.step.costate_size() + 1e-3;
@@ -299,29 +332,12 @@ impl<const NX: usize> Sqp<NX> {
         let slope = self.slope(problem) - mu * missed;
         let mut alpha = 1.0;
         while alpha >= ALPHA_MIN {
-            for (trial, (x, dx)) in self
-                .trial
-                .x
-                .iter_mut()
-                .zip(self.point.x.iter().zip(&self.step.dx))
-            {
-                *trial = x + dx * alpha;
+            self.trial.x[0] = self.point.x[0];
+            for k in 0..self.trial.u.len() {
+                self.trial.u[k] = self.input_after(k, alpha);
+                self.trial.x[k + 1] = problem.model.step(&self.trial.x[k], &self.trial.u[k]);
             }
-            for (trial, (u, du)) in self
-                .trial
-                .u
-                .iter_mut()
-                .zip(self.point.u.iter().zip(&self.step.du))
-            {
-                *trial = u + du * alpha;
-            }
-            let mut missed = 0.0;
-            for (k, u) in self.trial.u.iter().enumerate() {
-                let next = problem.model.step(&self.trial.x[k], u);
-                missed += (next - self.trial.x[k + 1]).lp_norm(1);
-            }
-            let merit = cost(problem, &self.trial) + mu * missed;
-            if merit <= start + armijo * alpha * slope + 1e-14 * start.abs() {
+            if cost(problem, &self.trial) <= start + armijo * alpha * slope + 1e-14 * start.abs() {
                 return Some(alpha);
             }
             alpha *= 0.5;
@@ -350,18 +366,21 @@ impl<const NX: usize> Sqp<NX> {
         slope
     }
 
-    fn take(&mut self, alpha: f64) {
-        for (x, dx) in self.point.x.iter_mut().zip(&self.step.dx) {
-            *x += dx * alpha;
-        }
-        for (k, u) in self.point.u.iter_mut().enumerate() {
-            *u += self.step.du[k] * alpha;
-            // A held input lies on its bound, not beside it by rounding.
-            let (lower, upper) = (&self.bounds.lower[k], &self.bounds.upper[k]);
-            *u = u.zip_zip_map(lower, upper, |u, lower, upper| u.min(upper).max(lower));
-        }
-        for (lambda, target) in self.lambda.iter_mut().zip(&self.step.lambda) {
-            *lambda += (target - *lambda) * alpha;
+    /// Input `k` after a share `alpha` of the step.
+    fn input_after(&self, k: usize, alpha: f64) -> Vector2<f64> {
+        let u = self.point.u[k] + self.step.du[k] * alpha;
+        // A held input lies on its bound, not beside it by rounding.
+        u.zip_zip_map(
+            &self.bounds.lower[k],
+            &self.bounds.upper[k],
+            |u, lower, upper| u.min(upper).max(lower),
+        )
+    }
+
+    fn take_linear(&mut self, alpha: f64) {
+        for k in 0..self.point.u.len() {
+            self.point.u[k] = self.input_after(k, alpha);
+            self.point.x[k + 1] += self.step.dx[k + 1] * alpha;
         }
     }
 }
@@ -379,8 +398,8 @@ fn shift_rows<T: Copy>(rows: &mut [T], knots: usize) {
 
 /// Speed of the cold start where the reference rests [m/s].
 const CREEP: f64 = 0.1;
-/// Iterations in which the turn limit follows the speed freely; later ones only narrow it, so that it cannot cycle.
-const TURN_LIMIT_FREE: u32 = 8;
+/// How far bounds that follow the speed may be from them [rad].
+const BOUNDS_SETTLED: f64 = 1e-9;
 /// Steps up to this size [m, rad, m/s] are not searched, their effect on the cost drowns in rounding: an exact one is taken
 /// whole, a Gauss-Newton step by the length of the last search.
 const FULL_STEP: f64 = 1e-4;

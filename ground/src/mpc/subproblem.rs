@@ -68,6 +68,15 @@ pub(super) struct Subproblem<const NX: usize> {
     pub(super) input_weight: Vector2<f64>,
 }
 
+/// Which Hessian of the Lagrangian a step uses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Hessian {
+    /// With the curvature of the dynamics.
+    Exact,
+    /// Without the curvature: never indefinite.
+    GaussNewton,
+}
+
 /// The solution of a subproblem, from whichever solver.
 #[derive(Clone, Debug)]
 pub(super) struct Step<const NX: usize> {
@@ -77,6 +86,38 @@ pub(super) struct Step<const NX: usize> {
     pub(super) du: Vec<Vector2<f64>>,
     /// Costate of xₖ₊₁, N rows.
     pub(super) lambda: Vec<SVector<f64, NX>>,
+}
+
+impl<const NX: usize> Stage<NX> {
+    /// M A. A is the identity but for column φ above the diagonal, and for the columns of v and q: half of a product's work.
+    pub(super) fn times_a(&self, m: &SMatrix<f64, NX, NX>) -> SMatrix<f64, NX, NX> {
+        let mut product = *m;
+        for i in 0..NX {
+            product[(i, 2)] += self.a[(0, 2)] * m[(i, 0)] + self.a[(1, 2)] * m[(i, 1)];
+            for j in 3..NX {
+                product[(i, j)] = self.a[(0, j)] * m[(i, 0)]
+                    + self.a[(1, j)] * m[(i, 1)]
+                    + self.a[(2, j)] * m[(i, 2)]
+                    + self.a[(j, j)] * m[(i, j)];
+            }
+        }
+        product
+    }
+
+    /// Aᵀ M, alike.
+    pub(super) fn a_transposed_times(&self, m: &SMatrix<f64, NX, NX>) -> SMatrix<f64, NX, NX> {
+        let mut product = *m;
+        for i in 0..NX {
+            product[(2, i)] += self.a[(0, 2)] * m[(0, i)] + self.a[(1, 2)] * m[(1, i)];
+            for j in 3..NX {
+                product[(j, i)] = self.a[(0, j)] * m[(0, i)]
+                    + self.a[(1, j)] * m[(1, i)]
+                    + self.a[(2, j)] * m[(2, i)]
+                    + self.a[(j, j)] * m[(j, i)];
+            }
+        }
+        product
+    }
 }
 
 impl<const NX: usize> Point<NX> {
