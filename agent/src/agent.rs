@@ -46,6 +46,8 @@ pub enum Input<'a> {
     Timeout,
     /// The program is to end: brake, rest, then zero torque and [`Event::Ended`].
     Shutdown,
+    /// The program is to end now: zero torque and [`Event::Ended`] with the next control step.
+    Abort,
 }
 
 /// A message of an agent as bytes; its longest, the status, takes under 400.
@@ -238,6 +240,11 @@ impl Agent {
             }
             Input::Timeout => self.on_timeout(now),
             Input::Shutdown => self.on_shutdown(now),
+            Input::Abort => {
+                self.shutdown.get_or_insert(now);
+                let transition = self.mode.disarm(Reason::Shutdown);
+                self.report(transition);
+            }
         }
     }
 

@@ -20,3 +20,5 @@ pub mod mode;
 pub mod model;
 pub mod plan;
 pub mod reference;
+#[cfg(feature = "io")]
+pub mod run;

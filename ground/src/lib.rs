@@ -9,6 +9,8 @@ pub mod mpc;
 pub mod plan_command;
 pub mod planner;
 pub mod predictor;
+#[cfg(feature = "io")]
+pub mod run;
 pub mod session;
 pub mod settings;
 pub mod station;

@@ -53,3 +53,8 @@ impl<C> Clone for Clock<C> {
     }
 }
 impl<C> Copy for Clock<C> {}
+impl<C> std::fmt::Debug for Clock<C> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Clock({:?})", self.now())
+    }
+}

@@ -1,0 +1,378 @@
+//! The deployed agent: the core on a thread of its own, its motor link and its Zenoh session.
+//!
+//! ```text
+//!  motor board ⇄ UDP ⇄ control thread: the core, deadlines, nothing that waits ──► outbox ──► one select! loop ──► Zenoh
+//!                            ▲                                                                      │
+//!                            └──────────────── inbox (newest kept) ◄────────────────────────────────┘
+//! ```
+//!
+//! The control thread never calls Zenoh, never waits for a lock, and keeps going whatever the network does.
+
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::Duration;
+
+use sphere_protocol::io::bus::{Bus, Declared, Inbox, Role};
+use sphere_protocol::io::clock::Clock;
+use sphere_protocol::io::link::{DATAGRAM_MAX, UdpLink};
+use sphere_protocol::key::{Key, every};
+use sphere_protocol::message::{Direction, DropReason, Mode, Qos};
+use sphere_protocol::time::AgentClock;
+use thiserror::Error;
+use tokio::sync::mpsc;
+use tracing::{debug, info, warn};
+
+use crate::agent::{Agent, Event, Input, Output, Payload, Signals};
+use crate::config::AgentConfig;
+use crate::gains::GainsError;
+
+/// What an agent is run with.
+pub struct Setup {
+    /// The core's configuration.
+    pub agent: AgentConfig,
+    /// The link to the motor board.
+    pub link: UdpLink,
+    /// How it takes part in the fleet's network.
+    pub network: Role,
+    /// Where to show what it does, for a display in the same process.
+    pub watch: Option<Arc<Mutex<Snapshot>>>,
+}
+
+/// What an agent does, now.
+#[derive(Clone, Debug, Default)]
+pub struct Snapshot {
+    /// Its mode; `None` before its first control step.
+    pub mode: Option<Mode>,
+    /// Signals of its last control step.
+    pub signals: Signals,
+    /// When that was, on the clock of the process that started it.
+    pub clock: Option<Clock<AgentClock>>,
+    /// How late its control steps begin.
+    pub lateness: Lateness,
+}
+
+/// How late control steps begin, counted in a histogram of fixed size.
+#[derive(Clone, Debug)]
+pub struct Lateness {
+    counts: [u32; BUCKETS],
+    total: u32,
+    max: Duration,
+}
+
+/// What a run amounted to.
+#[derive(Clone, Debug, Default)]
+pub struct Report {
+    /// How late control steps began.
+    pub lateness: Lateness,
+    /// Messages and frames dropped, by [`DropReason`].
+    pub dropped: [u32; DropReason::COUNT],
+}
+
+/// Why an agent could not be run, or ended by itself.
+#[derive(Debug, Error)]
+pub enum RunError {
+    /// Gains that cannot be stable.
+    #[error(transparent)]
+    Gains(#[from] GainsError),
+    /// The control thread could not be started.
+    #[error("cannot start the control thread: {0}")]
+    Thread(std::io::Error),
+    /// The motor link's socket broke.
+    #[error("motor link: {0}")]
+    Link(std::io::Error),
+    /// The control thread panicked: a defect.
+    #[error("the control thread has died; the motor board's own time limit stops the motors")]
+    Died,
+}
+
+/// What the control thread asks the shell to do.
+enum Outgoing {
+    Publish {
+        direction: Direction,
+        topic: &'static str,
+        qos: Qos,
+        bytes: Payload,
+    },
+    Event(Event),
+}
+
+/// What the shell asks of the control thread: how often it was told to stop.
+type Stops = Arc<AtomicU32>;
+
+/// Histogram of lateness: 25 µs a bucket up to 25 ms.
+const BUCKETS: usize = 1000;
+const BUCKET: Duration = Duration::from_micros(25);
+/// Messages that wait for the control thread: a second of plans and commands.
+const INBOX: usize = 32;
+/// Messages that wait for Zenoh.
+const OUTBOX: usize = 256;
+/// How long one attempt to reach the router may take.
+const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
+/// Pause between attempts.
+const OPEN_PAUSE: Duration = Duration::from_millis(500);
+
+/// Runs an agent until it has come to rest after the first `stop`, or at once after the second.
+///
+/// # Errors
+/// Gains that cannot be stable, or a broken motor link. A missing network is no error: it is tried for again and again.
+pub async fn run(setup: Setup, mut stop: mpsc::Receiver<()>) -> Result<Report, RunError> {
+    let Setup {
+        agent: config,
+        link,
+        network,
+        watch,
+    } = setup;
+    let id = config.id;
+    let clock = Clock::<AgentClock>::start();
+    let agent = Agent::new(clock.now(), config)?;
+    let inbox = Inbox::new(INBOX);
+    let stops = Stops::default();
+    let (outgoing, mut outbox) = mpsc::channel(OUTBOX);
+
+    let control = {
+        let (inbox, stops) = (inbox.clone(), stops.clone());
+        let (ended, result) = tokio::sync::oneshot::channel();
+        thread::Builder::new()
+            .name(format!("control-{id}"))
+            .spawn(move || {
+                // If nobody waits any more there is nobody to tell.
+                let _ = ended.send(control_loop(
+                    agent,
+                    clock,
+                    &link,
+                    &inbox,
+                    &outgoing,
+                    &stops,
+                    watch.as_deref(),
+                ));
+            })
+            .map_err(RunError::Thread)?;
+        result
+    };
+    tokio::pin!(control);
+
+    let (found, mut opened) = mpsc::channel(1);
+    // Zenoh resolves synchronously: it gets a thread of its own, which ends with the channel.
+    thread::Builder::new()
+        .name(format!("bus-{id}"))
+        .spawn(move || keep_opening(&network, &found))
+        .map_err(RunError::Thread)?;
+
+    let mut bus: Option<(Bus, Vec<Declared>)> = None;
+    loop {
+        tokio::select! {
+            result = &mut control => {
+                if let Some((bus, declared)) = bus.take() {
+                    drop(declared);
+                    let _ = tokio::task::spawn_blocking(move || bus.close()).await;
+                }
+                return result.map_err(|_| RunError::Died)?;
+            }
+            Some(asked) = stop.recv() => {
+                let () = asked;
+                let count = stops.fetch_add(1, Ordering::Relaxed);
+                info!(robot = %id, "{}", if count == 0 { "stopping: braking to rest" } else { "stopping: zero torque now" });
+            }
+            Some(session) = opened.recv(), if bus.is_none() => {
+                let declared = declare(&session, &id, &inbox);
+                info!(robot = %id, "connected");
+                bus = Some((session, declared));
+            }
+            Some(out) = outbox.recv() => match out {
+                Outgoing::Publish { direction, topic, qos, bytes } => {
+                    if let (Some((bus, _)), Ok(key)) = (&bus, Key::new(&id, direction, topic))
+                        && let Err(error) = bus.publish(&key.text(), qos, &bytes)
+                    {
+                        debug!(robot = %id, %error, "not published");
+                    }
+                }
+                Outgoing::Event(event) => log(&id, &event),
+            },
+        }
+    }
+}
+
+/// The control thread: sensor frames as they come, messages, deadlines.
+fn control_loop(
+    mut agent: Agent,
+    clock: Clock<AgentClock>,
+    link: &UdpLink,
+    inbox: &Inbox,
+    outgoing: &mpsc::Sender<Outgoing>,
+    stops: &Stops,
+    watch: Option<&Mutex<Snapshot>>,
+) -> Result<Report, RunError> {
+    let mut buffer = [0; DATAGRAM_MAX];
+    let mut lateness = Lateness::default();
+    let mut stops_seen = 0;
+    loop {
+        let due = agent.poll_timeout();
+        if let Some(bytes) = link
+            .receive(&mut buffer, clock.until(due))
+            .map_err(RunError::Link)?
+        {
+            agent.handle_input(clock.now(), Input::Motor(bytes));
+        }
+        while let Some(message) = inbox.pop() {
+            agent.handle_input(
+                clock.now(),
+                Input::Message {
+                    key: &message.key,
+                    bytes: &message.bytes,
+                },
+            );
+        }
+        let asked = stops.load(Ordering::Relaxed);
+        if asked > stops_seen {
+            stops_seen = asked;
+            agent.handle_input(
+                clock.now(),
+                if asked == 1 {
+                    Input::Shutdown
+                } else {
+                    Input::Abort
+                },
+            );
+        }
+        let now = clock.now();
+        let stepped = now >= due;
+        if stepped {
+            lateness.count((now - due).as_nanos());
+            agent.handle_input(now, Input::Timeout);
+        }
+        let mut ended = false;
+        while let Some(output) = agent.poll_output() {
+            match output {
+                Output::Motor(frame) => link.send(&frame).map_err(RunError::Link)?,
+                Output::Publish {
+                    direction,
+                    topic,
+                    qos,
+                    bytes,
+                } => {
+                    // A full outbox means a stuck network: the newest state will come again.
+                    let _ = outgoing.try_send(Outgoing::Publish {
+                        direction,
+                        topic,
+                        qos,
+                        bytes,
+                    });
+                }
+                Output::Event(event) => {
+                    ended |= event == Event::Ended;
+                    let _ = outgoing.try_send(Outgoing::Event(event));
+                }
+            }
+        }
+        // A display that holds the lock costs it a frame, never this thread a wait.
+        if stepped && let Some(Ok(mut shown)) = watch.map(Mutex::try_lock) {
+            shown.mode = Some(agent.mode());
+            shown.signals = *agent.signals();
+            shown.clock = Some(clock);
+            shown.lateness.clone_from(&lateness);
+        }
+        if ended {
+            return Ok(Report {
+                lateness,
+                dropped: *agent.dropped(),
+            });
+        }
+    }
+}
+
+/// Tries to open a session until it comes up, or nobody wants it any more.
+fn keep_opening(network: &Role, found: &mpsc::Sender<Bus>) {
+    let mut told = false;
+    while !found.is_closed() {
+        match Bus::open(network, OPEN_TIMEOUT) {
+            Ok(bus) => {
+                let _ = found.blocking_send(bus);
+                return;
+            }
+            Err(error) if !told => {
+                warn!(%error, "no network yet; trying on");
+                told = true;
+            }
+            Err(error) => debug!(%error, "no network yet"),
+        }
+        #[allow(clippy::disallowed_methods, reason = "a thread that does nothing else")]
+        thread::sleep(OPEN_PAUSE);
+    }
+}
+
+fn declare(bus: &Bus, id: &sphere_protocol::robot::RobotId, inbox: &Inbox) -> Vec<Declared> {
+    let mut declared = Vec::new();
+    for direction in [Direction::Down, Direction::Command] {
+        let inbox = inbox.clone();
+        match bus.subscribe(&every(id, direction), move |message| inbox.push(message)) {
+            Ok(subscription) => declared.push(subscription),
+            Err(error) => warn!(robot = %id, %error, "not subscribed"),
+        }
+    }
+    match bus.show_life(&format!("fleet/v1/{id}/up/alive")) {
+        Ok(life) => declared.push(life),
+        Err(error) => warn!(robot = %id, %error, "no sign of life"),
+    }
+    declared
+}
+
+fn log(id: &sphere_protocol::robot::RobotId, event: &Event) {
+    match event {
+        Event::Mode(transition) => info!(
+            robot = %id, from = ?transition.from, to = ?transition.to, reason = %transition.reason, "mode"
+        ),
+        Event::Refused { order, mode } => warn!(robot = %id, ?order, ?mode, "order refused"),
+        Event::Leased { station, epoch } => info!(robot = %id, station, epoch, "leased"),
+        Event::LeaseRefused { station, holder } => {
+            warn!(robot = %id, station, holder, "lease refused")
+        }
+        Event::Dropped(reason) => debug!(robot = %id, ?reason, "dropped"),
+        Event::Ended => info!(robot = %id, "at rest, torque zero"),
+    }
+}
+
+impl Lateness {
+    fn count(&mut self, ns: i64) {
+        let late = Duration::from_nanos(u64::try_from(ns).unwrap_or(0));
+        let bucket = (late.as_nanos() / BUCKET.as_nanos()) as usize;
+        self.counts[bucket.min(BUCKETS - 1)] += 1;
+        self.total += 1;
+        self.max = self.max.max(late);
+    }
+
+    /// The lateness that a share `p` of the steps did not exceed, to 25 µs; `None` before the first step.
+    pub fn quantile(&self, p: f64) -> Option<Duration> {
+        let rank = (p * f64::from(self.total)).ceil() as u32;
+        let mut seen = 0;
+        let bucket = self.counts.iter().position(|count| {
+            seen += count;
+            seen >= rank.max(1)
+        })?;
+        Some(if bucket + 1 == BUCKETS {
+            self.max
+        } else {
+            BUCKET * (bucket as u32 + 1)
+        })
+    }
+
+    /// The worst.
+    pub fn max(&self) -> Duration {
+        self.max
+    }
+
+    /// How many steps there were.
+    pub fn steps(&self) -> u32 {
+        self.total
+    }
+}
+
+impl Default for Lateness {
+    fn default() -> Self {
+        Self {
+            counts: [0; BUCKETS],
+            total: 0,
+            max: Duration::ZERO,
+        }
+    }
+}

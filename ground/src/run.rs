@@ -1,0 +1,216 @@
+//! The deployed station: the core on a planning thread of its own, and its Zenoh session.
+//!
+//! Messages arrive on Zenoh's threads and wait in one bounded queue; the planning thread takes them, plans when a robot is due and
+//! publishes. Nothing here waits for a robot.
+
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+use sphere_protocol::io::bus::{Bus, BusError, Received, Role};
+use sphere_protocol::io::clock::Clock;
+use sphere_protocol::key::EVERY_UP;
+use sphere_protocol::robot::RobotId;
+use sphere_protocol::time::GroundClock;
+use thiserror::Error;
+use tokio::sync::mpsc;
+use tracing::{debug, info, warn};
+
+use crate::station::{Event, Input, Order, Output, Station, StationConfig};
+
+/// What a station is run with.
+pub struct Setup {
+    /// The core's configuration.
+    pub station: StationConfig,
+    /// How it takes part in the fleet's network: as its router, or as client of another.
+    pub network: Role,
+    /// Where to show what it knows, for a display in the same process.
+    pub watch: Option<Watch>,
+}
+
+/// Calls back after each step of the station with its core and its clock. Must be quick.
+pub type Watch = Box<dyn FnMut(&Station, Clock<GroundClock>) + Send>;
+
+/// Why a station could not be run, or ended by itself.
+#[derive(Debug, Error)]
+pub enum RunError {
+    /// The network refused it: most often a port that is taken.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The planning thread could not be started.
+    #[error("cannot start the planning thread: {0}")]
+    Thread(std::io::Error),
+    /// The planning thread panicked: a defect.
+    #[error("the planning thread has died; the robots brake to rest by themselves")]
+    Died,
+}
+
+/// What happens to the planning thread.
+enum Incoming {
+    Message(Received),
+    Order(RobotId, Order),
+    Stop,
+}
+
+/// Hands orders to a running station.
+#[derive(Clone)]
+pub struct Orders(SyncSender<Incoming>);
+
+/// Messages that wait for the planning thread: 50 robots for more than a second.
+const QUEUE: usize = 4096;
+const OPEN_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// A station that runs, until it is stopped.
+pub struct Running {
+    orders: Orders,
+    done: tokio::sync::oneshot::Receiver<()>,
+}
+
+impl Running {
+    /// Opens the network and starts planning.
+    ///
+    /// # Errors
+    /// A port that is taken, no router, a refused configuration.
+    pub async fn start(setup: Setup) -> Result<Self, RunError> {
+        let Setup {
+            station,
+            network,
+            mut watch,
+        } = setup;
+        let role = network.clone();
+        let bus = tokio::task::spawn_blocking(move || Bus::open(&role, OPEN_TIMEOUT))
+            .await
+            .map_err(|_| RunError::Died)??;
+        let clock = Clock::<GroundClock>::start();
+        let core = Station::new(station, clock.now());
+        let (queue, incoming) = sync_channel(QUEUE);
+        let (ended, done) = tokio::sync::oneshot::channel();
+        let subscriber = {
+            let queue = queue.clone();
+            // Called on Zenoh's threads, which must not wait: what does not fit is lost, and the next telemetry brings it again.
+            bus.subscribe(EVERY_UP, move |message| {
+                let _ = queue.try_send(Incoming::Message(message));
+            })?
+        };
+        info!(network = %network, "station ready");
+        thread::Builder::new()
+            .name("planning".to_owned())
+            .spawn(move || {
+                planning_loop(core, clock, &bus, &incoming, &mut watch);
+                drop(subscriber);
+                bus.close();
+                let _ = ended.send(());
+            })
+            .map_err(RunError::Thread)?;
+        Ok(Self {
+            orders: Orders(queue),
+            done,
+        })
+    }
+
+    /// Hands orders to the station.
+    pub fn orders(&self) -> Orders {
+        self.orders.clone()
+    }
+
+    /// Stops planning. Robots play their last plan to its end, brake and hold.
+    ///
+    /// # Errors
+    /// The planning thread has died before.
+    pub async fn stop(self) -> Result<(), RunError> {
+        // If the thread is gone the wait below tells.
+        let _ = self.orders.0.try_send(Incoming::Stop);
+        self.done.await.map_err(|_| RunError::Died)
+    }
+}
+
+impl Orders {
+    /// Gives `order` to `robot`. `false` if the station has ended or is hopelessly behind.
+    pub fn give(&self, robot: RobotId, order: Order) -> bool {
+        self.0.try_send(Incoming::Order(robot, order)).is_ok()
+    }
+}
+
+/// Runs a station until `stop`.
+///
+/// # Errors
+/// As [`Running::start`] and [`Running::stop`].
+pub async fn serve(setup: Setup, mut stop: mpsc::Receiver<()>) -> Result<(), RunError> {
+    let mut running = Running::start(setup).await?;
+    tokio::select! {
+        _ = stop.recv() => running.stop().await,
+        ended = &mut running.done => ended.map_err(|_| RunError::Died),
+    }
+}
+
+fn planning_loop(
+    mut station: Station,
+    clock: Clock<GroundClock>,
+    bus: &Bus,
+    incoming: &Receiver<Incoming>,
+    watch: &mut Option<Watch>,
+) {
+    loop {
+        match incoming.recv_timeout(clock.until(station.poll_timeout()).min(IDLE)) {
+            Ok(Incoming::Message(Received { key, bytes, .. })) => {
+                station.handle_input(
+                    clock.now(),
+                    Input::Message {
+                        key: &key,
+                        bytes: &bytes,
+                    },
+                );
+            }
+            Ok(Incoming::Order(robot, order)) => {
+                station.handle_input(clock.now(), Input::Order { robot, order })
+            }
+            Ok(Incoming::Stop) | Err(RecvTimeoutError::Disconnected) => return,
+            Err(RecvTimeoutError::Timeout) => station.handle_input(clock.now(), Input::Timeout),
+        }
+        while let Some(output) = station.poll_output() {
+            match output {
+                Output::Publish {
+                    key, qos, bytes, ..
+                } => {
+                    if let Err(error) = bus.publish(&key, qos, &bytes) {
+                        debug!(%error, "not published");
+                    }
+                }
+                Output::Event { robot, event } => log(robot, &event),
+            }
+        }
+        if let Some(watch) = watch {
+            watch(&station, clock);
+        }
+    }
+}
+
+/// A station without robots still hears that it is to stop.
+const IDLE: Duration = Duration::from_secs(1);
+
+fn log(robot: RobotId, event: &Event) {
+    match event {
+        Event::Found { boot_id } => info!(%robot, boot_id, "found"),
+        Event::Rebooted { boot_id } => warn!(%robot, boot_id, "rebooted"),
+        Event::Mode { from, to } => info!(%robot, ?from, ?to, "mode"),
+        Event::LeaseGranted { epoch } => info!(%robot, epoch, "lease granted"),
+        Event::LeaseLost { station } => warn!(%robot, ?station, "lease lost"),
+        Event::Refused(order) => warn!(%robot, ?order, "order refused"),
+        Event::MissionStarted => info!(%robot, "mission started"),
+        Event::MissionDone => info!(%robot, "mission done"),
+        Event::MissionRefused(error) => warn!(%robot, %error, "mission refused"),
+        Event::Stale => warn!(%robot, "telemetry is too old to plan from"),
+    }
+}
+
+/// A value that one thread writes and another shows.
+pub type Shared<T> = Arc<Mutex<T>>;
+
+/// The value, whoever panicked while holding it.
+pub fn shown<T: Clone>(shared: &Shared<T>) -> T {
+    shared
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .clone()
+}
