@@ -5,6 +5,7 @@
 
 pub mod actuator;
 pub mod body;
+pub mod check;
 pub mod disturbance;
 pub mod friction;
 pub mod integrator;

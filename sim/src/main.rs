@@ -65,15 +65,22 @@ struct PlantsArgs {
     agent_port: u16,
 }
 
+/// The run is over: did everything hold that must?
+enum Outcome {
+    Held,
+    Broken,
+}
+
 fn main() -> ExitCode {
     let cli = Cli::parse();
     let result = match cli.command {
         Some(Command::Run(args)) => run_scenario(&args),
         Some(Command::Plants(args)) => run_plants(&args),
-        None => Ok(()),
+        None => Ok(Outcome::Held),
     };
     match result {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(Outcome::Held) => ExitCode::SUCCESS,
+        Ok(Outcome::Broken) => ExitCode::from(1),
         Err(error) => {
             eprintln!("sphere-sim: {error:#}");
             ExitCode::from(2)
@@ -81,11 +88,21 @@ fn main() -> ExitCode {
     }
 }
 
-fn run_scenario(args: &RunArgs) -> anyhow::Result<()> {
+fn run_scenario(args: &RunArgs) -> anyhow::Result<Outcome> {
     let mut sets = args.sets.clone();
     sets.extend(args.seed.map(|seed| format!("seed={seed}")));
     let scenario = output::read_scenario(&args.scenario, &sets)?;
-    let run = timed(&scenario)?;
+    let sets: String = args
+        .sets
+        .iter()
+        .map(|set| format!(" --set {set}"))
+        .collect();
+    let replay = format!(
+        "sphere-sim run {}{sets} --seed {}",
+        args.scenario.display(),
+        scenario.seed
+    );
+    let run = timed(&scenario, &replay)?;
     let name = args
         .scenario
         .file_stem()
@@ -104,10 +121,11 @@ fn run_scenario(args: &RunArgs) -> anyhow::Result<()> {
             report::summary(&run.metrics, folder.as_deref(), stdout.is_terminal())
         )?;
     }
-    Ok(())
+    let held = run.metrics.violations.is_empty();
+    Ok(if held { Outcome::Held } else { Outcome::Broken })
 }
 
-fn run_plants(args: &PlantsArgs) -> anyhow::Result<()> {
+fn run_plants(args: &PlantsArgs) -> anyhow::Result<Outcome> {
     let sets: Vec<_> = args
         .seed
         .iter()
@@ -143,7 +161,7 @@ fn run_plants(args: &PlantsArgs) -> anyhow::Result<()> {
         })?;
     let pace = served.plants.stop()?;
     eprintln!("{}", plants_command::pace_sentence(pace));
-    Ok(())
+    Ok(Outcome::Held)
 }
 
 /// Ctrl-C and the polite kill, each time they come.
@@ -173,9 +191,9 @@ const CHECK: std::time::Duration = std::time::Duration::from_millis(500);
     clippy::disallowed_methods,
     reason = "wall_s reports how long the run took; nothing depends on it"
 )]
-fn timed(scenario: &Scenario) -> anyhow::Result<Run> {
+fn timed(scenario: &Scenario, replay: &str) -> anyhow::Result<Run> {
     let begin = Instant::now();
-    Ok(run(scenario, || begin.elapsed().as_secs_f64())?)
+    Ok(run(scenario, replay, || begin.elapsed().as_secs_f64())?)
 }
 
 fn write(folder: &Path, scenario: &Scenario, run: &Run, name: &str) -> anyhow::Result<()> {

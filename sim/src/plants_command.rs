@@ -99,14 +99,14 @@ impl Served {
     /// What a user has to know to connect agents: a table of the addresses.
     pub fn table(&self) -> String {
         let mut text = String::from(
-            "robot  agent listens on   board listens on   start x m  y m  heading °\n",
+            "robot  agent listens on  board listens on  start x m    y m  heading °\n",
         );
         for at in &self.addresses {
             let [x, y, heading] = at.start;
             // Writing to a String cannot fail.
             let _ = writeln!(
                 text,
-                "{:<5}  {:<16}  {:<16}  {x:>10.2}  {y:>4.2}  {heading:>9.1}",
+                "{:<5}  {:<16}  {:<16}  {x:>9.2}  {y:>5.2}  {heading:>9.1}",
                 at.robot.as_str(),
                 at.agent.to_string(),
                 at.board.to_string(),
