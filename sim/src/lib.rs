@@ -6,6 +6,8 @@
 pub mod actuator;
 pub mod body;
 pub mod check;
+#[cfg(feature = "io")]
+pub mod demo;
 pub mod disturbance;
 pub mod friction;
 pub mod integrator;
