@@ -35,7 +35,7 @@ pub struct PlantSetup {
     pub random: BodyRandom,
     /// Time between two position fixes; `None` without any.
     pub fix_period: Option<Span>,
-    /// Its end of the motor link, made by [`board_link`].
+    /// Its end of the motor link, a [`UdpLink`] to its agent.
     pub link: UdpLink,
 }
 
@@ -268,17 +268,6 @@ impl Ports {
     }
 }
 
-/// The board's end of a motor link: listens on `local`, speaks with `agent` alone and never waits.
-///
-/// # Errors
-/// The local address is taken, or the agent's is impossible.
-pub fn board_link(local: SocketAddr, agent: SocketAddr) -> Result<UdpLink, LinkError> {
-    let refused = |error| LinkError::Bind { local, error };
-    let socket = UdpSocket::bind(local).map_err(refused)?;
-    socket.set_nonblocking(true).map_err(refused)?;
-    UdpLink::pinned(socket, agent)
-}
-
 /// Both ends of a motor link on free ports of the loopback interface: the agent's and the board's.
 ///
 /// # Errors
@@ -288,7 +277,6 @@ pub fn link_pair() -> Result<(UdpLink, UdpLink), PlantsError> {
     let broken = PlantsError::Broken;
     let agent = UdpSocket::bind(any).map_err(broken)?;
     let board = UdpSocket::bind(any).map_err(broken)?;
-    board.set_nonblocking(true).map_err(broken)?;
     let (to_agent, to_board) = (
         agent.local_addr().map_err(broken)?,
         board.local_addr().map_err(broken)?,

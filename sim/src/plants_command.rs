@@ -4,10 +4,11 @@ use std::fmt::Write as _;
 use std::net::SocketAddr;
 use std::time::Duration;
 
+use sphere_protocol::io::link::UdpLink;
 use sphere_protocol::robot::RobotId;
 use thiserror::Error;
 
-use crate::live::{Pace, Plants, PlantsError, Ports, board_link, plant_setup};
+use crate::live::{Pace, Plants, PlantsError, Ports, plant_setup};
 use crate::scenario::{Scenario, ScenarioError};
 
 /// Plants, and where their agents reach them.
@@ -80,7 +81,7 @@ pub fn serve(scenario: &Scenario, ports: Ports) -> Result<Served, ServeError> {
         let (Some(agent), Some(board)) = (ports.agent(index), ports.board(index)) else {
             return Err(ServeError::Ports { robots, ports });
         };
-        let link = board_link(board, agent).map_err(PlantsError::Link)?;
+        let link = UdpLink::open(board, agent).map_err(PlantsError::Link)?;
         setups.push(plant_setup(scenario, index, link));
         addresses.push(Addresses {
             robot: setup.id,

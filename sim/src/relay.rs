@@ -11,8 +11,10 @@
 //!   RTO = max(200 ms, RTT + 4 RTTVAR),   RTT = 2 delay,   RTTVAR = √(2/π) √2 jitter
 //!
 //! (RFC 6298, eq. 2.3, with the lower bound of Linux, `TCP_RTO_MIN`, in place of 1 s; RTTVAR is the mean deviation of the sum of both
-//! ways' normal delays). The copy may be lost as well, and each further one waits twice as long (RFC 6298, 5.5): n losses in a row
-//! cost (2ⁿ − 1) RTO. Congestion windows are not modelled: the streams never fill one.
+//! ways' normal delays). A copy may be lost as well: it is missed like the first one while others behind it are acknowledged (RACK,
+//! RFC 8985), so that n losses cost n timeouts, without backing off. Real TCP over real IP with 50 ± 10 ms, 10 % loss and 50
+//! messages a second had a p99 latency of 343 to 648 ms; the model has some 500. Congestion windows are not modelled: the streams
+//! never fill one.
 //!
 //! A cut holds everything back, as a network without a route does; after it, what TCP would send again goes on at once. Real
 //! senders, having backed off, may need some seconds more.
@@ -278,7 +280,7 @@ impl Way {
             self.stalls.fetch_add(1, Ordering::Relaxed);
         }
         let delay = duration(model.delay + model.jitter * normal);
-        delay + retransmission_timeout(model) * ((1 << losses) - 1)
+        delay + retransmission_timeout(model) * losses
     }
 
     fn count_delivery(&self, segment: &Segment) {
@@ -312,8 +314,57 @@ fn duration(seconds: f64) -> Duration {
 }
 
 const RTO_MIN: Duration = Duration::from_millis(200);
-/// A sender that has lost six copies in a row waits 63 timeouts: beyond that a connection is given up.
+/// Copies that are lost in a row at most: one in a million at 10 % loss, and at any loss the next one gets through.
 const LOSSES_MAX: u32 = 6;
 /// Segments between the two ends, a second of a busy robot's; then the sender has to wait.
 const UNDER_WAY_MAX: usize = 1024;
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+
+    fn way(delay: f64, jitter: f64, loss: f64) -> Way {
+        Way::new(Direction {
+            model: LinkModel {
+                delay,
+                jitter,
+                loss,
+            },
+            random: ChaCha8Rng::seed_from_u64(1),
+        })
+    }
+
+    /// RFC 6298, eq. 2.3, by hand: 0.2 + 4 · √(4/π) · 0.02 = 0.290; and the lower bound.
+    #[test]
+    fn the_timeout_follows_the_round_trip() {
+        let rto = |delay, jitter| {
+            retransmission_timeout(&LinkModel {
+                delay,
+                jitter,
+                loss: 0.0,
+            })
+        };
+        assert_eq!(rto(0.1, 0.02).as_millis(), 290);
+        assert_eq!(rto(0.01, 0.0), RTO_MIN);
+    }
+
+    /// The p99 latency of real TCP at 50 ± 10 ms, 10 % loss and 50 Hz was measured as 343 to 648 ms.
+    #[test]
+    fn messages_are_as_late_as_on_real_tcp() {
+        let way = way(0.05, 0.01, 0.1);
+        let mut arrived = 0.0_f64;
+        let mut latencies: Vec<f64> = (0..100_000)
+            .map(|i| {
+                let sent = f64::from(i) * 0.02;
+                arrived = arrived.max(sent + way.draw().as_secs_f64());
+                arrived - sent
+            })
+            .collect();
+        latencies.sort_by(f64::total_cmp);
+        let p99 = latencies[99_000];
+        assert!((0.343..0.648).contains(&p99), "p99 {p99}");
+    }
+}
