@@ -33,14 +33,21 @@
 
 pub mod actuator;
 pub mod body;
+pub mod check;
 pub mod disturbance;
 pub mod friction;
 pub mod integrator;
+#[cfg(feature = "io")]
+pub mod live;
 pub mod metrics;
 pub mod network;
 pub mod output;
 pub mod plant;
+#[cfg(feature = "io")]
+pub mod plants_command;
 pub mod plot;
+#[cfg(feature = "io")]
+pub mod relay;
 pub mod report;
 pub mod run;
 pub mod scenario;
