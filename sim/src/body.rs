@@ -18,6 +18,8 @@ use crate::sensor::{PositionSource, Sensors};
 
 /// Step of the plant's integration.
 pub const STEP: Span = Span::from_millis(1);
+/// Time between two of the board's signs of life.
+pub const BOARD_HEARTBEAT: Span = Span::from_millis(1000);
 
 /// What a body is made of.
 #[derive(Clone, Debug)]

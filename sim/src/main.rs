@@ -7,9 +7,10 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
+use sphere_sim::live::Ports;
 use sphere_sim::run::{Run, run};
 use sphere_sim::scenario::Scenario;
-use sphere_sim::{output, plot, report};
+use sphere_sim::{output, plants_command, plot, report};
 
 /// Spherical robots in virtual time: the deployed agents and station against simulated robots and a network that delays and loses.
 #[derive(Parser)]
@@ -23,6 +24,8 @@ struct Cli {
 enum Command {
     /// Run a scenario in virtual time
     Run(RunArgs),
+    /// Run plants in real time behind MAVLink over UDP, until Ctrl-C
+    Plants(PlantsArgs),
 }
 
 #[derive(Args)]
@@ -43,6 +46,25 @@ struct RunArgs {
     json: bool,
 }
 
+#[derive(Args)]
+struct PlantsArgs {
+    /// A scenario whose robots to run; its network, faults and missions are of no account here
+    #[arg(conflicts_with = "robots")]
+    scenario: Option<PathBuf>,
+    /// Without a scenario: how many robots, r1, r2, ..., 3 m apart along Y
+    #[arg(long, default_value_t = 1)]
+    robots: usize,
+    /// Seed of sensor noise, in place of the scenario's
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Port of the first robot's board; the next one's is two higher
+    #[arg(long, value_name = "BASE", default_value_t = Ports::DEFAULT.board)]
+    board_port: u16,
+    /// Port on which the first robot's agent is to listen; the next one's is two higher
+    #[arg(long, value_name = "BASE", default_value_t = Ports::DEFAULT.agent)]
+    agent_port: u16,
+}
+
 /// The run is over: did everything hold that must?
 enum Outcome {
     Held,
@@ -53,6 +75,7 @@ fn main() -> ExitCode {
     let cli = Cli::parse();
     let result = match cli.command {
         Some(Command::Run(args)) => run_scenario(&args),
+        Some(Command::Plants(args)) => run_plants(&args),
         None => Ok(Outcome::Held),
     };
     match result {
@@ -101,6 +124,68 @@ fn run_scenario(args: &RunArgs) -> anyhow::Result<Outcome> {
     let held = run.metrics.violations.is_empty();
     Ok(if held { Outcome::Held } else { Outcome::Broken })
 }
+
+fn run_plants(args: &PlantsArgs) -> anyhow::Result<Outcome> {
+    let sets: Vec<_> = args
+        .seed
+        .iter()
+        .map(|seed| format!("seed={seed}"))
+        .collect();
+    let scenario = match &args.scenario {
+        Some(path) => output::read_scenario(path, &sets)?,
+        None => plants_command::row_of_robots(args.robots, args.seed.unwrap_or(1))?,
+    };
+    let ports = Ports {
+        agent: args.agent_port,
+        board: args.board_port,
+    };
+    let served = plants_command::serve(&scenario, ports)?;
+    // Whoever starts this as a process waits for the table: it comes when the sockets are open.
+    print!("{}", served.table());
+    println!("Plants run; Ctrl-C ends.");
+    std::io::stdout().flush()?;
+    tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?
+        .block_on(async {
+            let mut check = tokio::time::interval(CHECK);
+            let mut terminate = terminations()?;
+            loop {
+                tokio::select! {
+                    _ = terminate.recv() => return Ok::<_, std::io::Error>(()),
+                    _ = check.tick() => if !served.plants.is_running() {
+                        return Ok(());
+                    }
+                }
+            }
+        })?;
+    let pace = served.plants.stop()?;
+    eprintln!("{}", plants_command::pace_sentence(pace));
+    Ok(Outcome::Held)
+}
+
+/// Ctrl-C and the polite kill, each time they come.
+fn terminations() -> std::io::Result<tokio::sync::mpsc::Receiver<()>> {
+    let (asked, terminations) = tokio::sync::mpsc::channel(2);
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        for kind in [SignalKind::interrupt(), SignalKind::terminate()] {
+            let (mut signal, asked) = (signal(kind)?, asked.clone());
+            tokio::spawn(async move {
+                while signal.recv().await.is_some() && asked.send(()).await.is_ok() {}
+            });
+        }
+    }
+    #[cfg(not(unix))]
+    tokio::spawn(async move {
+        while tokio::signal::ctrl_c().await.is_ok() && asked.send(()).await.is_ok() {}
+    });
+    Ok(terminations)
+}
+
+/// How often to see whether the plants still run.
+const CHECK: std::time::Duration = std::time::Duration::from_millis(500);
 
 #[allow(
     clippy::disallowed_methods,

@@ -74,7 +74,8 @@ impl Run {
     }
 }
 
-fn bounds(scenario: &Scenario) -> BTreeMap<RobotId, Bounds> {
+/// What each robot of `scenario` must keep to.
+pub(crate) fn bounds(scenario: &Scenario) -> BTreeMap<RobotId, Bounds> {
     let of = |setup: &crate::scenario::RobotSetup| Bounds {
         // The agent believes in its own limit, the motors have theirs.
         torque_max: setup

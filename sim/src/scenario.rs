@@ -293,6 +293,11 @@ impl Default for Link {
 }
 
 impl Sensing {
+    /// Time between two position fixes; `None` without any.
+    pub fn fix_period(&self) -> Option<Span> {
+        (self.position_fix_hz > 0.0).then(|| Span::from_secs_f64(1.0 / self.position_fix_hz))
+    }
+
     /// Standard deviation of each axis of a position fix, with `noise` applied [m].
     pub fn position_fix_sigma(&self) -> f64 {
         self.noise * self.position_fix_noise_m
