@@ -586,7 +586,10 @@ fn sensors_that_fail_take_the_torque_away_in_time() {
         assert!(last <= 0.140, "{what}: torque for {last} s");
         // The motors' lag is 8 ms: after 800 ms nothing is left of it.
         let Torque { pitch, roll } = bench.body.torque();
-        assert!(pitch.abs().max(roll.abs()) < 1e-9, "{what}: the motors obey");
+        assert!(
+            pitch.abs().max(roll.abs()) < 1e-9,
+            "{what}: the motors obey"
+        );
     }
     let mut bench = Bench::tracking(0.5, 1.0);
     bench.alter = Box::new(|_, data| {
