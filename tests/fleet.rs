@@ -130,7 +130,8 @@ fn a_radius_that_nobody_told_the_robot_shows_without_fixes_alone() {
     let rows = blind.trace.rows();
     let share = worst_estimate(rows) / path_length(rows);
     let fixed = drive(SCENARIOS[0].1, &[larger]);
-    let estimate = fixed.metrics.robots[0].estimate_rmse_m.expect("it drove");
+    let rows = fixed.trace.rows();
+    let corrected = worst_estimate(rows) / path_length(rows);
     println!(
         "off by {:.2} % of the path, with fixes by {:.2} %",
         100.0 * share,

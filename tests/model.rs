@@ -21,10 +21,12 @@ fn liu() -> Robot {
     Robot::embedded("liu").expect("it comes with the project")
 }
 
-/// Bearings as the nominal model has them: its joints know no dry friction.
+/// What the nominal model leaves out on purpose is left out here: dry friction of the joints, and rolling resistance, which the
+/// plant has in roll as well and which is steep at small speeds.
 fn without_dry_friction() -> RobotParams {
     RobotParams {
         coulomb: 0.0,
+        c_rr: 0.0,
         ..liu().params
     }
 }
