@@ -1,6 +1,7 @@
 //! `sphere-sim`: runs scenarios.
 
 use std::io::{IsTerminal, Write};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -63,6 +64,9 @@ struct PlantsArgs {
     /// Port on which the first robot's agent is to listen; the next one's is two higher
     #[arg(long, value_name = "BASE", default_value_t = Ports::DEFAULT.agent)]
     agent_port: u16,
+    /// Send copies of every motor link's datagrams, both ways, to this UDP address; those of robot number i to its port + i
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    mirror: Option<SocketAddr>,
 }
 
 /// The run is over: did everything hold that must?
@@ -139,7 +143,7 @@ fn run_plants(args: &PlantsArgs) -> anyhow::Result<Outcome> {
         agent: args.agent_port,
         board: args.board_port,
     };
-    let served = plants_command::serve(&scenario, ports)?;
+    let served = plants_command::serve(&scenario, ports, args.mirror)?;
     // Whoever starts this as a process waits for the table: it comes when the sockets are open.
     print!("{}", served.table());
     println!("Plants run; Ctrl-C ends.");
