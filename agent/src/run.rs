@@ -322,7 +322,11 @@ fn log(id: &sphere_protocol::robot::RobotId, event: &Event) {
         Event::Mode(transition) => info!(
             robot = %id, from = ?transition.from, to = ?transition.to, reason = %transition.reason, "mode"
         ),
-        Event::Refused { order, mode } => warn!(robot = %id, ?order, ?mode, "order refused"),
+        Event::Refused {
+            order,
+            mode,
+            reason,
+        } => warn!(robot = %id, ?order, ?mode, %reason, "order refused"),
         Event::Leased { station, epoch } => info!(robot = %id, station, epoch, "leased"),
         Event::LeaseRefused { station, holder } => {
             warn!(robot = %id, station, holder, "lease refused")
