@@ -29,11 +29,14 @@
 //! ```
 //!
 //! In reading order: [`scenario`], [`world`], [`run`](mod@run); [`body`] with [`plant`], [`actuator`], [`sensor`], [`friction`], [`disturbance`],
-//! [`integrator`]; [`network`]; [`trace`], [`check`], [`metrics`], [`report`], [`plot`], [`output`]. In real time: [`live`], [`plants_command`], [`relay`].
+//! [`integrator`]; [`network`]; [`trace`], [`check`], [`metrics`], [`report`], [`plot`], [`output`]. In real time: [`live`], [`plants_command`],
+//! [`relay`], [`demo`].
 
 pub mod actuator;
 pub mod body;
 pub mod check;
+#[cfg(feature = "io")]
+pub mod demo;
 pub mod disturbance;
 pub mod friction;
 pub mod integrator;

@@ -50,6 +50,7 @@ pub struct Mirror {
 
 /// Plants that run, until they are stopped or dropped.
 pub struct Plants {
+    origin: Instant,
     shared: Arc<Shared>,
     truths: Vec<Truths>,
     thread: Option<JoinHandle<io::Result<()>>>,
@@ -161,10 +162,16 @@ impl Plants {
                 .map_err(PlantsError::Thread)?
         };
         Ok(Self {
+            origin,
             shared,
             truths,
             thread: Some(thread),
         })
+    }
+
+    /// When they were started: the beginning of their time.
+    pub fn origin(&self) -> Instant {
+        self.origin
     }
 
     /// The truth of each body, in the order in which they were set up.
@@ -250,6 +257,26 @@ pub fn board_link(local: SocketAddr, agent: SocketAddr) -> Result<UdpLink, LinkE
     let socket = UdpSocket::bind(local).map_err(refused)?;
     socket.set_nonblocking(true).map_err(refused)?;
     UdpLink::pinned(socket, agent)
+}
+
+/// Both ends of a motor link on free ports of the loopback interface: the agent's and the board's.
+///
+/// # Errors
+/// No port is free, or the sockets break.
+pub fn link_pair() -> Result<(UdpLink, UdpLink), PlantsError> {
+    let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+    let broken = PlantsError::Broken;
+    let agent = UdpSocket::bind(any).map_err(broken)?;
+    let board = UdpSocket::bind(any).map_err(broken)?;
+    board.set_nonblocking(true).map_err(broken)?;
+    let (to_agent, to_board) = (
+        agent.local_addr().map_err(broken)?,
+        board.local_addr().map_err(broken)?,
+    );
+    Ok((
+        UdpLink::pinned(agent, to_board)?,
+        UdpLink::pinned(board, to_agent)?,
+    ))
 }
 
 /// The hardware of robot number `robot` of `scenario`, as the virtual world would build it, without a mirror.
