@@ -17,8 +17,8 @@ use sphere_protocol::io::bus::{Bus, Declared, Inbox, Role};
 use sphere_protocol::io::clock::Clock;
 use sphere_protocol::io::link::{DATAGRAM_MAX, UdpLink};
 use sphere_protocol::key::{Key, every};
-use sphere_protocol::message::{Direction, DropReason, Mode, Qos};
-use sphere_protocol::time::AgentClock;
+use sphere_protocol::message::{Direction, DropReason, Mode, PlanId, Qos};
+use sphere_protocol::time::{AgentClock, Span};
 use thiserror::Error;
 use tokio::sync::mpsc;
 use tracing::{debug, info, warn};
@@ -50,6 +50,12 @@ pub struct Snapshot {
     pub clock: Option<Clock<AgentClock>>,
     /// How late its control steps begin.
     pub lateness: Lateness,
+    /// The newest plan that it received.
+    pub newest_plan: Option<PlanId>,
+    /// Arrival of that plan minus the stamp of the telemetry it was computed from.
+    pub loop_delay: Option<Span>,
+    /// Plans that have begun since the start.
+    pub plans_begun: u64,
 }
 
 /// How late control steps begin, counted in a histogram of fixed size.
@@ -271,6 +277,10 @@ fn control_loop(
             shown.signals = *agent.signals();
             shown.clock = Some(clock);
             shown.lateness.clone_from(&lateness);
+            let playback = agent.playback();
+            shown.newest_plan = playback.newest();
+            shown.loop_delay = playback.loop_delay();
+            shown.plans_begun = playback.begun();
         }
         if ended {
             return Ok(Report {

@@ -18,22 +18,25 @@
 //!
 //! let text = "duration_s = 3.0\n[[robots]]\nid = 'r1'\nmission = { kind = 'line' }";
 //! let scenario = Scenario::parse("line.toml", text, &[], |path| Err(format!("no file {path}")))?;
-//! let first = run(&scenario, || 0.0)?;
+//! let first = run(&scenario, "", || 0.0)?;
 //!
 //! // It boots, is armed by the station, and has begun to drive.
 //! let last = first.trace.rows().last().expect("a row every 20 ms");
 //! assert_eq!(last.mode, Mode::Tracking);
 //! // The same seed gives the same bytes.
-//! assert_eq!(run(&scenario, || 0.0)?.metrics.digest, first.metrics.digest);
+//! assert_eq!(run(&scenario, "", || 0.0)?.metrics.digest, first.metrics.digest);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
 //! In reading order: [`scenario`], [`world`], [`run`](mod@run); [`body`] with [`plant`], [`actuator`], [`sensor`], [`friction`], [`disturbance`],
-//! [`integrator`]; [`network`]; [`trace`], [`metrics`], [`report`], [`plot`], [`output`].
+//! [`integrator`]; [`network`]; [`trace`], [`check`], [`metrics`], [`report`], [`plot`], [`output`]. In real time: [`live`], [`plants_command`],
+//! [`relay`], [`demo`].
 
 pub mod actuator;
 pub mod body;
 pub mod check;
+#[cfg(feature = "io")]
+pub mod demo;
 pub mod disturbance;
 pub mod friction;
 pub mod integrator;

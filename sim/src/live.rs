@@ -6,7 +6,7 @@
 //! were true, a heartbeat every second.
 
 use std::io;
-use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -36,10 +36,21 @@ pub struct PlantSetup {
     pub fix_period: Option<Span>,
     /// Its end of the motor link, made by [`board_link`].
     pub link: UdpLink,
+    /// Where copies of what passes on the motor link go, if anywhere.
+    pub mirror: Option<Mirror>,
+}
+
+/// Sends a copy of every datagram of one motor link, both ways, to an address that anybody may listen on: the link itself joins two
+/// pinned addresses and cannot be overheard.
+#[derive(Debug)]
+pub struct Mirror {
+    socket: UdpSocket,
+    to: SocketAddr,
 }
 
 /// Plants that run, until they are stopped or dropped.
 pub struct Plants {
+    origin: Instant,
     shared: Arc<Shared>,
     truths: Vec<Truths>,
     thread: Option<JoinHandle<io::Result<()>>>,
@@ -113,6 +124,7 @@ struct Live {
     body: Body,
     fix_period: Option<Span>,
     link: UdpLink,
+    mirror: Option<Mirror>,
     truths: Truths,
 }
 
@@ -137,6 +149,7 @@ impl Plants {
                     body,
                     fix_period: setup.fix_period,
                     link: setup.link,
+                    mirror: setup.mirror,
                 }
             })
             .collect();
@@ -149,10 +162,16 @@ impl Plants {
                 .map_err(PlantsError::Thread)?
         };
         Ok(Self {
+            origin,
             shared,
             truths,
             thread: Some(thread),
         })
+    }
+
+    /// When they were started: the beginning of their time.
+    pub fn origin(&self) -> Instant {
+        self.origin
     }
 
     /// The truth of each body, in the order in which they were set up.
@@ -240,7 +259,27 @@ pub fn board_link(local: SocketAddr, agent: SocketAddr) -> Result<UdpLink, LinkE
     UdpLink::pinned(socket, agent)
 }
 
-/// The hardware of robot number `robot` of `scenario`, as the virtual world would build it.
+/// Both ends of a motor link on free ports of the loopback interface: the agent's and the board's.
+///
+/// # Errors
+/// No port is free, or the sockets break.
+pub fn link_pair() -> Result<(UdpLink, UdpLink), PlantsError> {
+    let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+    let broken = PlantsError::Broken;
+    let agent = UdpSocket::bind(any).map_err(broken)?;
+    let board = UdpSocket::bind(any).map_err(broken)?;
+    board.set_nonblocking(true).map_err(broken)?;
+    let (to_agent, to_board) = (
+        agent.local_addr().map_err(broken)?,
+        board.local_addr().map_err(broken)?,
+    );
+    Ok((
+        UdpLink::pinned(agent, to_board)?,
+        UdpLink::pinned(board, to_agent)?,
+    ))
+}
+
+/// The hardware of robot number `robot` of `scenario`, as the virtual world would build it, without a mirror.
 pub fn plant_setup(scenario: &Scenario, robot: usize, link: UdpLink) -> PlantSetup {
     let setup = &scenario.robots[robot];
     let (_, clock) = drawn_clocks(scenario.seed, robot);
@@ -250,6 +289,7 @@ pub fn plant_setup(scenario: &Scenario, robot: usize, link: UdpLink) -> PlantSet
         random: BodyRandom::new(scenario.seed, robot),
         fix_period: scenario.sensing.fix_period(),
         link,
+        mirror: None,
     }
 }
 
@@ -287,29 +327,66 @@ impl Live {
     fn step(&mut self, elapsed: Span, origin: Instant) -> io::Result<()> {
         let mut buffer = [0; DATAGRAM_MAX];
         while let Some(bytes) = self.link.receive(&mut buffer, Duration::ZERO)? {
+            if let Some(mirror) = &self.mirror {
+                mirror.copy(bytes);
+            }
             self.body.receive(bytes);
         }
         self.body.advance(elapsed);
         let is_due = |period: Span| elapsed.as_nanos() % period.as_nanos() < STEP.as_nanos();
         if is_due(BOARD_HEARTBEAT) {
-            self.link.send(&self.body.heartbeat())?;
+            let frame = self.body.heartbeat();
+            self.send(&frame)?;
         }
         if is_due(Sensors::INTERVAL)
             && let Some(frame) = self.body.sense()
         {
-            self.link.send(&frame)?;
+            self.send(&frame)?;
         }
         if self.fix_period.is_some_and(is_due) {
             self.body.take_fix();
         }
         while let Some(frame) = self.body.arrived_fix() {
-            self.link.send(&frame)?;
+            self.send(&frame)?;
         }
         // Whoever reads it now reads the truth of a millisecond ago.
         if let Ok(mut shared) = self.truths.0.try_lock() {
             *shared = truth(&self.body, instant(origin, elapsed), elapsed);
         }
         Ok(())
+    }
+
+    fn send(&self, frame: &[u8]) -> io::Result<()> {
+        if let Some(mirror) = &self.mirror {
+            mirror.copy(frame);
+        }
+        self.link.send(frame)
+    }
+}
+
+impl Mirror {
+    /// To `first`'s port plus `robot`, so that the links of a fleet arrive apart: every one of them is system 1.
+    ///
+    /// # Errors
+    /// No socket, or no such port.
+    pub fn new(first: SocketAddr, robot: usize) -> io::Result<Self> {
+        let port = u16::try_from(usize::from(first.port()) + robot)
+            .map_err(|_| io::Error::other(format!("mirror: robot {robot} has no port")))?;
+        let any: IpAddr = match first {
+            SocketAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
+            SocketAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
+        };
+        let socket = UdpSocket::bind((any, 0))?;
+        socket.set_nonblocking(true)?;
+        Ok(Self {
+            socket,
+            to: SocketAddr::new(first.ip(), port),
+        })
+    }
+
+    fn copy(&self, bytes: &[u8]) {
+        // Whether anybody listens is nothing to the robot.
+        let _ = self.socket.send_to(bytes, self.to);
     }
 }
 
