@@ -18,7 +18,7 @@ use sphere_protocol::io::clock::Clock;
 use sphere_protocol::io::link::{DATAGRAM_MAX, UdpLink};
 use sphere_protocol::key::{Key, every};
 use sphere_protocol::message::{Direction, DropReason, Mode, PlanId, Qos};
-use sphere_protocol::time::{AgentClock, Span};
+use sphere_protocol::time::{AgentClock, Instant, Span};
 use thiserror::Error;
 use tokio::sync::mpsc;
 use tracing::{debug, info, warn};
@@ -40,13 +40,15 @@ pub struct Setup {
 }
 
 /// What an agent does, now.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Snapshot {
     /// Its mode; `None` before its first control step.
     pub mode: Option<Mode>,
     /// Signals of its last control step.
     pub signals: Signals,
-    /// When that was, on the clock of the process that started it.
+    /// When that was.
+    pub stepped: Instant<AgentClock>,
+    /// Its clock, by which a reader in the same process can tell the time as it does; `None` before its first control step.
     pub clock: Option<Clock<AgentClock>>,
     /// How late its control steps begin.
     pub lateness: Lateness,
@@ -56,6 +58,22 @@ pub struct Snapshot {
     pub loop_delay: Option<Span>,
     /// Plans that have begun since the start.
     pub plans_begun: u64,
+}
+
+impl Default for Snapshot {
+    /// Before the first control step.
+    fn default() -> Self {
+        Self {
+            mode: None,
+            signals: Signals::default(),
+            stepped: Instant::from_nanos(0),
+            clock: None,
+            lateness: Lateness::default(),
+            newest_plan: None,
+            loop_delay: None,
+            plans_begun: 0,
+        }
+    }
 }
 
 /// How late control steps begin, counted in a histogram of fixed size.
@@ -275,6 +293,7 @@ fn control_loop(
         if stepped && let Some(Ok(mut shown)) = watch.map(Mutex::try_lock) {
             shown.mode = Some(agent.mode());
             shown.signals = *agent.signals();
+            shown.stepped = now;
             shown.clock = Some(clock);
             shown.lateness.clone_from(&lateness);
             let playback = agent.playback();

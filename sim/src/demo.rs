@@ -29,7 +29,7 @@ use crate::scenario::{Scenario, ScenarioError};
 use crate::trace::{ROW_PERIOD, Row, Trace, mode_name};
 pub use display::Display;
 use fleet::Fleet;
-pub use verdict::{Verdict, summary, verdicts};
+pub use verdict::{RMSE_MAX, Verdict, summary, verdicts};
 
 /// How the demo is to go.
 #[derive(Clone, Debug, PartialEq)]

@@ -5,10 +5,11 @@
 //! pinned agent: torque commands are read before every step, a sensor frame leaves every 5 ms, position fixes 50 ms after they
 //! were true, a heartbeat every second.
 
+use std::collections::VecDeque;
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -56,9 +57,9 @@ pub struct Plants {
     thread: Option<JoinHandle<io::Result<()>>>,
 }
 
-/// The truth of one body, shared with whoever displays or records it.
+/// The truth of one body in its last [`TRUTHS_KEPT`] steps, shared with whoever displays or records it.
 #[derive(Clone)]
-pub struct Truths(Arc<Mutex<Truth>>);
+pub struct Truths(Arc<Mutex<VecDeque<Truth>>>);
 
 /// What is true of one body after one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -145,7 +146,7 @@ impl Plants {
             .map(|setup| {
                 let body = Body::new(setup.body, setup.random);
                 Live {
-                    truths: Truths(Arc::new(Mutex::new(truth(&body, origin, Span::ZERO)))),
+                    truths: Truths::starting(truth(&body, origin, Span::ZERO)),
                     body,
                     fix_period: setup.fix_period,
                     link: setup.link,
@@ -224,9 +225,40 @@ impl Drop for Plants {
 }
 
 impl Truths {
-    /// The newest. Copied at once: holding the lock would only cost the reader newer truths, never the plants a wait.
+    fn starting(first: Truth) -> Self {
+        let mut kept = VecDeque::with_capacity(TRUTHS_KEPT);
+        kept.push_back(first);
+        Self(Arc::new(Mutex::new(kept)))
+    }
+
+    /// The newest.
     pub fn newest(&self) -> Truth {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        *self
+            .lock()
+            .back()
+            .expect("the first truth is there from the start, and one goes only when another comes")
+    }
+
+    /// What was true at `instant`; `None` if that is longer ago than is kept, or yet to come.
+    pub fn at(&self, instant: Instant) -> Option<Truth> {
+        let kept = self.lock();
+        let later = kept.partition_point(|truth| truth.at <= instant);
+        let truth = *kept.get(later.checked_sub(1)?)?;
+        (instant - truth.at < 2 * LATE).then_some(truth)
+    }
+
+    /// Readers copy at once. While one holds the lock the plants pass over a truth, they never wait.
+    fn lock(&self) -> MutexGuard<'_, VecDeque<Truth>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn push(&self, truth: Truth) {
+        if let Ok(mut kept) = self.0.try_lock() {
+            if kept.len() >= TRUTHS_KEPT {
+                kept.pop_front();
+            }
+            kept.push_back(truth);
+        }
     }
 }
 
@@ -349,10 +381,8 @@ impl Live {
         while let Some(frame) = self.body.arrived_fix() {
             self.send(&frame)?;
         }
-        // Whoever reads it now reads the truth of a millisecond ago.
-        if let Ok(mut shared) = self.truths.0.try_lock() {
-            *shared = truth(&self.body, instant(origin, elapsed), elapsed);
-        }
+        self.truths
+            .push(truth(&self.body, instant(origin, elapsed), elapsed));
         Ok(())
     }
 
@@ -410,5 +440,7 @@ fn loopback(first: u16, robot: usize) -> Option<SocketAddr> {
     Some(SocketAddr::from((Ipv4Addr::LOCALHOST, port)))
 }
 
+/// How many steps back the truth is known: three control periods.
+pub const TRUTHS_KEPT: usize = 64;
 /// A step that begins later than this was made up for.
 const LATE: Duration = Duration::from_millis(1);

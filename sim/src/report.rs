@@ -127,7 +127,7 @@ fn line(robot: &RobotMetrics) -> [String; HEADER.len()] {
 }
 
 /// The modes in which it spent time, longest first.
-pub(crate) fn modes(robot: &RobotMetrics) -> String {
+fn modes(robot: &RobotMetrics) -> String {
     let mut modes: Vec<_> = robot
         .time_in_mode_s
         .iter()

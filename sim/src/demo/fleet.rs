@@ -301,7 +301,12 @@ impl Braking {
 
     /// What the robots do now, `t` after the start.
     pub(super) fn scene(&mut self, t: Span) -> Vec<SceneRobot> {
-        self.fleet.scene(t)
+        let mut robots = self.fleet.scene(t);
+        for robot in &mut robots {
+            // The station's path goes on, the robot does not.
+            robot.row.reference = None;
+        }
+        robots
     }
 }
 
@@ -311,12 +316,16 @@ impl LiveRobot {
         t: Span,
         mission: Option<&(Trajectory, Instant<AgentClock>)>,
     ) -> SceneRobot {
-        let truth = self.truths.newest();
         let shown = self
             .watch
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
             .clone();
+        // A row is one instant: that of the agent's last control step. An agent that has not stepped for long hides nothing.
+        let truth = shown
+            .clock
+            .and_then(|clock| self.truths.at(clock.deadline(shown.stepped)))
+            .unwrap_or_else(|| self.truths.newest());
         if shown.newest_plan != self.newest_plan {
             self.newest_plan = shown.newest_plan;
             self.loop_delays.extend(shown.loop_delay);
@@ -325,7 +334,7 @@ impl LiveRobot {
         let reference = mission
             .zip(shown.clock)
             .map(|((trajectory, anchor), clock)| {
-                // The instant for which the truth is true, by the agent's clock: whenever this is read, the error is exact.
+                // The instant for which the truth is true, by the agent's clock: the error is exact whenever this is read.
                 let zero = clock.deadline(Instant::from_nanos(0));
                 let agent_now = Instant::from_nanos(nanos_since(truth.at, zero));
                 let into = agent_now.since(*anchor);

@@ -8,7 +8,7 @@ use sphere_protocol::time::Span;
 
 use super::{Cut, Performance};
 use crate::metrics::{LiveRobotMetrics, RobotMetrics};
-use crate::report::{self, GREEN, RED, RESET, figure, millimetres, milliseconds, table};
+use crate::report::{GREEN, RED, RESET, figure, millimetres, milliseconds, table};
 
 /// Whether one robot did what it should.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -89,6 +89,9 @@ pub fn summary(
         rows.push(cells(robot, live));
     }
     let mut text = table(&rows, colour);
+    text.push_str(
+        "(errors 10 s after setting out; plan age p50 / p99; control lateness p50 / p99 / max)\n",
+    );
     // Writing to a String cannot fail.
     let _ = writeln!(text, "\nPlots, trace and metrics: {folder}");
     if let Some(live) = live {
@@ -183,29 +186,48 @@ fn cells(robot: &RobotMetrics, live: Option<&LiveRobotMetrics>) -> [String; HEAD
         figure(robot.heading_rmse_rad, |heading| {
             format!("{:.2}", heading.to_degrees())
         }),
-        figure(robot.plan_age_p50_s, milliseconds),
-        figure(robot.plan_age_p99_s, milliseconds),
-        late(live.and_then(|live| live.control_lateness_p50_s)),
-        late(live.and_then(|live| live.control_lateness_p99_s)),
-        late(live.map(|live| live.control_lateness_max_s)),
+        format!(
+            "{} / {}",
+            figure(robot.plan_age_p50_s, milliseconds),
+            figure(robot.plan_age_p99_s, milliseconds)
+        ),
+        live.map_or_else(String::new, |live| {
+            format!(
+                "{} / {} / {}",
+                late(live.control_lateness_p50_s),
+                late(live.control_lateness_p99_s),
+                late(Some(live.control_lateness_max_s))
+            )
+        }),
         live.map_or_else(String::new, |live| live.link_stalls.to_string()),
-        figure(robot.min_separation_m, |metres| format!("{metres:.2}")),
-        report::modes(robot),
+        modes(robot),
     ]
 }
 
-const HEADER: [&str; 12] = [
+/// The modes in which it spent a second or more, longest first.
+fn modes(robot: &RobotMetrics) -> String {
+    let mut modes: Vec<_> = robot
+        .time_in_mode_s
+        .iter()
+        .filter(|(_, time)| **time >= 1.0)
+        .collect();
+    modes.sort_by(|a, b| b.1.total_cmp(a.1));
+    let modes: Vec<_> = modes
+        .iter()
+        .map(|(mode, time)| format!("{mode} {time:.0} s"))
+        .collect();
+    modes.join(", ")
+}
+
+/// Two quantiles of the plan's age, p50 / p99; of the control step's lateness p50 / p99 / the latest.
+const HEADER: [&str; 8] = [
     "robot",
     "RMSE mm",
     "max mm",
     "heading °",
-    "age p50 ms",
-    "p99 ms",
-    "control late p50 ms",
-    "p99 ms",
-    "max ms",
+    "plan age ms",
+    "control late ms",
     "stalls",
-    "nearest m",
     "modes",
 ];
 /// Violations shown one by one.
