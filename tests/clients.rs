@@ -111,7 +111,7 @@ fn both_clients_see_every_robot_of_the_demo() {
     let mirror = free_ports(3);
     let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("clients-demo");
     let mut demo = Command::new(env!("CARGO_BIN_EXE_sphere-sim"));
-    demo.args(["demo", "--duration", "25", "--out"])
+    demo.args(["demo", "--duration", "60", "--out"])
         .arg(out)
         .args(["--mirror", &format!("127.0.0.1:{mirror}")])
         .stdout(Stdio::null())
@@ -127,8 +127,8 @@ fn both_clients_see_every_robot_of_the_demo() {
         .expect("the demo says where its router listens");
     // Somebody must go on reading, or the demo waits for its pipe.
     let reader = thread::spawn(move || lines.for_each(drop));
-    // Estimators settle for two seconds at rest; then the robots are armed and roll.
-    thread::sleep(Duration::from_secs(6));
+    // Estimators settle for two seconds at rest; then the robots are armed and set out, 3 s after one another.
+    thread::sleep(Duration::from_secs(13));
 
     let watch = client(
         "fleet_watch.py",
@@ -156,7 +156,12 @@ fn both_clients_see_every_robot_of_the_demo() {
     let robots = fleet["robots"].as_object().expect("robots by name");
     assert_eq!(robots.keys().collect::<Vec<_>>(), ["r1", "r2", "r3"]);
     for (id, robot) in robots {
-        assert_eq!(robot["telemetry"]["mode"], "tracking", "{id}");
+        // On a busy machine a relay's stall may outlast a plan: then it holds, which is as it should be.
+        let mode = robot["telemetry"]["mode"].as_str();
+        assert!(
+            matches!(mode, Some("tracking" | "holding")),
+            "{id} is {mode:?}"
+        );
         assert_eq!(
             robot["plan"]["u"].as_array().map(Vec::len),
             Some(20),
