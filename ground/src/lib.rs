@@ -2,6 +2,7 @@
 //!
 //! It knows robots only by their messages. It computes no torque and simulates nothing.
 
+pub mod config_file;
 pub mod jet;
 pub mod kinematics;
 pub mod link;
