@@ -9,8 +9,8 @@ use std::fmt::Write as _;
 use arrayvec::{ArrayString, ArrayVec};
 use sphere_protocol::key::Key;
 use sphere_protocol::mavlink::{
-    AGENT, BOARD, Event as BoardEvent, Frame, FrameReader, FrameWriter, Framing, Heartbeat,
-    TorqueCommand,
+    AGENT, BOARD, Event as BoardEvent, Frame, FrameCounters, FrameReader, FrameWriter, Framing,
+    Heartbeat, TorqueCommand,
 };
 use sphere_protocol::message::{
     Beacon, Command, CommandOrder, Direction, DropReason, Message, Mode, PlanId, Qos, SetpointPlan,
@@ -18,7 +18,7 @@ use sphere_protocol::message::{
 };
 use sphere_protocol::state::{BoardStatus, RobotState, Setpoint, Torque};
 use sphere_protocol::time::{AgentClock, BoardClock, Instant, Span};
-use sphere_protocol::wire::{self, Wire};
+use sphere_protocol::wire::{self, Wire, WireError};
 
 use crate::board_clock::BoardClockMap;
 use crate::config::AgentConfig;
@@ -33,7 +33,8 @@ use crate::reference::{Reference, roll_bound};
 /// What reaches an agent.
 #[derive(Clone, Copy, Debug)]
 pub enum Input<'a> {
-    /// Bytes from the motor board: any number of MAVLink frames, or parts of them.
+    /// A datagram from the motor board: any number of whole MAVLink frames. What is cut off at its end is dropped and counted: it
+    /// must not swallow the beginning of the next.
     Motor(&'a [u8]),
     /// A message of the fleet with its key.
     Message {
@@ -107,6 +108,8 @@ pub enum Event {
     },
     /// An incoming message was dropped.
     Dropped(DropReason),
+    /// Somebody sends messages of another schema version, which are dropped; told once for each topic and version.
+    Incompatible(WireError),
     /// Shut down: at rest, torque zero.
     Ended,
 }
@@ -142,6 +145,8 @@ pub struct Agent {
     board: Board,
     lease: Lease,
     dropped: [u32; DropReason::COUNT],
+    /// Schema versions that were refused and told of.
+    incompatible: ArrayVec<WireError, 8>,
     signals: Signals,
     still_since: Option<Instant<AgentClock>>,
     ending: Option<Ending>,
@@ -227,11 +232,12 @@ impl Agent {
             mode: ModeMachine::new(),
             playback: Playback::new(),
             reference: Reference::default(),
-            reader: FrameReader::new(Framing::Stream, AGENT, Some(BOARD.system)),
+            reader: FrameReader::new(Framing::Datagrams, AGENT, Some(BOARD.system)),
             writer: FrameWriter::new(AGENT),
             board: Board::default(),
             lease: Lease::default(),
             dropped: [0; DropReason::COUNT],
+            incompatible: ArrayVec::new(),
             signals: Signals::default(),
             still_since: None,
             ending: None,
@@ -296,6 +302,11 @@ impl Agent {
         self.overruns
     }
 
+    /// Frames of the motor board: those taken, and those dropped, by reason.
+    pub fn frames(&self) -> &FrameCounters {
+        self.reader.counters()
+    }
+
     fn on_motor(&mut self, now: Instant<AgentClock>, mut bytes: &[u8]) {
         let before = *self.reader.counters();
         while let Some(received) = self.reader.pull(&mut bytes) {
@@ -349,10 +360,31 @@ impl Agent {
             return Err(DropReason::WrongRobot);
         }
         match (key.direction(), key.topic()) {
-            (Direction::Down, SetpointPlan::TOPIC) => self.on_plan(now, decode(bytes)?),
-            (Direction::Command, Command::TOPIC) => self.on_command(now, &decode(bytes)?),
+            (Direction::Down, SetpointPlan::TOPIC) => {
+                let plan = self.decode(bytes)?;
+                self.on_plan(now, plan)
+            }
+            (Direction::Command, Command::TOPIC) => {
+                let command = self.decode(bytes)?;
+                self.on_command(now, &command)
+            }
             _ => Err(DropReason::Unexpected),
         }
+    }
+
+    fn decode<M: Wire>(&mut self, bytes: &[u8]) -> Result<M, DropReason> {
+        wire::decode(bytes).map_err(|error| {
+            let is_version = matches!(error, WireError::Version { .. });
+            // Beyond the list's room it is only counted: nobody has so many versions.
+            if is_version
+                && !self.incompatible.contains(&error)
+                && self.incompatible.try_push(error).is_ok()
+            {
+                self.due.status = self.due.control;
+                self.emit(Output::Event(Event::Incompatible(error)));
+            }
+            error.reason()
+        })
     }
 
     fn on_plan(&mut self, now: Instant<AgentClock>, plan: SetpointPlan) -> Result<(), DropReason> {
@@ -851,10 +883,6 @@ fn advance(due: &mut Instant<AgentClock>, period: Span, now: Instant<AgentClock>
     let missed = now.since(*due).as_nanos().max(0) / period;
     *due += Span::from_nanos(period.saturating_mul(missed.saturating_add(1)));
     missed.unsigned_abs()
-}
-
-fn decode<M: Wire>(bytes: &[u8]) -> Result<M, DropReason> {
-    wire::decode(bytes).map_err(|error| error.reason())
 }
 
 impl Lease {

@@ -53,6 +53,7 @@
 pub mod agent;
 pub mod board_clock;
 pub mod config;
+pub mod config_file;
 pub mod control;
 pub mod estimator;
 pub mod gains;

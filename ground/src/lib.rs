@@ -37,6 +37,7 @@
 //! In reading order: [`station`], [`session`], [`tasking`]; [`link`] and [`predictor`]; [`trajectory`] on [`jet`]; [`planner`] and its
 //! [`settings`]; [`kinematics`] and [`mpc`]; [`plan_command`], [`run`].
 
+pub mod config_file;
 pub mod jet;
 pub mod kinematics;
 pub mod link;

@@ -43,6 +43,7 @@
 // The generated MAVLink types say `mavlink_core`, which `mavlink` re-exports whole.
 extern crate mavlink as mavlink_core;
 
+pub mod document;
 #[cfg(feature = "io")]
 pub mod io;
 pub mod key;
