@@ -17,6 +17,7 @@ use sphere_protocol::io::bus::{Bus, Declared, Inbox, Role};
 use sphere_protocol::io::clock::Clock;
 use sphere_protocol::io::link::{DATAGRAM_MAX, UdpLink};
 use sphere_protocol::key::{Key, every};
+use sphere_protocol::mavlink::FrameCounters;
 use sphere_protocol::message::{Direction, DropReason, Mode, PlanId, Qos};
 use sphere_protocol::time::{AgentClock, Instant, Span};
 use thiserror::Error;
@@ -91,6 +92,8 @@ pub struct Report {
     pub lateness: Lateness,
     /// Messages and frames dropped, by [`DropReason`].
     pub dropped: [u32; DropReason::COUNT],
+    /// Frames of the motor board: those taken, and those dropped, by reason.
+    pub frames: FrameCounters,
 }
 
 /// Why an agent could not be run, or ended by itself.
@@ -305,6 +308,7 @@ fn control_loop(
             return Ok(Report {
                 lateness,
                 dropped: *agent.dropped(),
+                frames: *agent.frames(),
             });
         }
     }
@@ -351,11 +355,16 @@ fn log(id: &sphere_protocol::robot::RobotId, event: &Event) {
         Event::Mode(transition) => info!(
             robot = %id, from = ?transition.from, to = ?transition.to, reason = %transition.reason, "mode"
         ),
-        Event::Refused { order, mode } => warn!(robot = %id, ?order, ?mode, "order refused"),
+        Event::Refused {
+            order,
+            mode,
+            reason,
+        } => warn!(robot = %id, ?order, ?mode, %reason, "order refused"),
         Event::Leased { station, epoch } => info!(robot = %id, station, epoch, "leased"),
         Event::LeaseRefused { station, holder } => {
             warn!(robot = %id, station, holder, "lease refused")
         }
+        Event::Incompatible(error) => warn!(robot = %id, %error, "incompatible: messages dropped"),
         Event::Dropped(reason) => debug!(robot = %id, ?reason, "dropped"),
         Event::Ended => info!(robot = %id, "at rest, torque zero"),
     }

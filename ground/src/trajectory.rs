@@ -192,7 +192,7 @@ impl Trajectory {
 
     /// The centre's path with its derivatives (sine and lemniscate) [m].
     fn path(&self, t: f64) -> (Jet<ORDERS>, Jet<ORDERS>) {
-        let sine = |amplitude: f64, rate: f64| Jet::line(rate * t, rate).sin_cos().0 * amplitude;
+        let sine = |amplitude: f64, rate: f64| Jet::sine(rate * t, rate) * amplitude;
         match self {
             Self::Lemniscate { .. } => (sine(8.0, 1.0 / 16.0), sine(4.0, 1.0 / 8.0)),
             _ => (Jet::line(0.5 * t, 0.5), sine(2.0, 0.25)),

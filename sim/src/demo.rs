@@ -11,6 +11,7 @@ mod display;
 mod fleet;
 mod verdict;
 
+use std::net::SocketAddr;
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -37,6 +38,8 @@ pub struct Options {
     pub scenario: Scenario,
     /// When links are cut.
     pub cuts: Vec<Cut>,
+    /// Where copies of the motor links go, if anywhere: robot number i to its port + i.
+    pub mirror: Option<SocketAddr>,
 }
 
 /// A time without link for one robot: `r2@30+5` cuts the link of r2 at 30 s for 5 s.
@@ -157,7 +160,11 @@ pub async fn perform(
     stop: &mut mpsc::Receiver<()>,
     mut show: impl FnMut(&Scene<'_>),
 ) -> Result<Performance, DemoError> {
-    let Options { mut scenario, cuts } = options;
+    let Options {
+        mut scenario,
+        cuts,
+        mirror,
+    } = options;
     for cut in &cuts {
         if !scenario.robots.iter().any(|robot| robot.id == cut.robot) {
             let ids: Vec<_> = scenario
@@ -169,7 +176,7 @@ pub async fn perform(
         }
     }
     let duration = scenario.duration();
-    let mut fleet = Fleet::start(&scenario).await?;
+    let mut fleet = Fleet::start(&scenario, mirror).await?;
     let mut trace = Trace::new();
     let mut events: Vec<SceneEvent> = Vec::new();
     let mut robots: Vec<SceneRobot> = Vec::new();

@@ -7,7 +7,7 @@
 
 use std::collections::VecDeque;
 use std::io;
-use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -37,6 +37,16 @@ pub struct PlantSetup {
     pub fix_period: Option<Span>,
     /// Its end of the motor link, a [`UdpLink`] to its agent.
     pub link: UdpLink,
+    /// Where copies of what passes on the motor link go, if anywhere.
+    pub mirror: Option<Mirror>,
+}
+
+/// Sends a copy of every datagram of one motor link, both ways, to an address that anybody may listen on: the link itself joins two
+/// pinned addresses and cannot be overheard.
+#[derive(Debug)]
+pub struct Mirror {
+    socket: UdpSocket,
+    to: SocketAddr,
 }
 
 /// Plants that run, until they are stopped or dropped.
@@ -115,6 +125,7 @@ struct Live {
     body: Body,
     fix_period: Option<Span>,
     link: UdpLink,
+    mirror: Option<Mirror>,
     truths: Truths,
 }
 
@@ -139,6 +150,7 @@ impl Plants {
                     body,
                     fix_period: setup.fix_period,
                     link: setup.link,
+                    mirror: setup.mirror,
                 }
             })
             .collect();
@@ -287,7 +299,7 @@ pub fn link_pair() -> Result<(UdpLink, UdpLink), PlantsError> {
     ))
 }
 
-/// The hardware of robot number `robot` of `scenario`, as the virtual world would build it.
+/// The hardware of robot number `robot` of `scenario`, as the virtual world would build it, without a mirror.
 pub fn plant_setup(scenario: &Scenario, robot: usize, link: UdpLink) -> PlantSetup {
     let setup = &scenario.robots[robot];
     let (_, clock) = drawn_clocks(scenario.seed, robot);
@@ -297,6 +309,7 @@ pub fn plant_setup(scenario: &Scenario, robot: usize, link: UdpLink) -> PlantSet
         random: BodyRandom::new(scenario.seed, robot),
         fix_period: scenario.sensing.fix_period(),
         link,
+        mirror: None,
     }
 }
 
@@ -334,27 +347,64 @@ impl Live {
     fn step(&mut self, elapsed: Span, origin: Instant) -> io::Result<()> {
         let mut buffer = [0; DATAGRAM_MAX];
         while let Some(bytes) = self.link.receive(&mut buffer, Duration::ZERO)? {
+            if let Some(mirror) = &self.mirror {
+                mirror.copy(bytes);
+            }
             self.body.receive(bytes);
         }
         self.body.advance(elapsed);
         let is_due = |period: Span| elapsed.as_nanos() % period.as_nanos() < STEP.as_nanos();
         if is_due(BOARD_HEARTBEAT) {
-            self.link.send(&self.body.heartbeat())?;
+            let frame = self.body.heartbeat();
+            self.send(&frame)?;
         }
         if is_due(Sensors::INTERVAL)
             && let Some(frame) = self.body.sense()
         {
-            self.link.send(&frame)?;
+            self.send(&frame)?;
         }
         if self.fix_period.is_some_and(is_due) {
             self.body.take_fix();
         }
         while let Some(frame) = self.body.arrived_fix() {
-            self.link.send(&frame)?;
+            self.send(&frame)?;
         }
         self.truths
             .push(truth(&self.body, instant(origin, elapsed), elapsed));
         Ok(())
+    }
+
+    fn send(&self, frame: &[u8]) -> io::Result<()> {
+        if let Some(mirror) = &self.mirror {
+            mirror.copy(frame);
+        }
+        self.link.send(frame)
+    }
+}
+
+impl Mirror {
+    /// To `first`'s port plus `robot`, so that the links of a fleet arrive apart: every one of them is system 1.
+    ///
+    /// # Errors
+    /// No socket, or no such port.
+    pub fn new(first: SocketAddr, robot: usize) -> io::Result<Self> {
+        let port = u16::try_from(usize::from(first.port()) + robot)
+            .map_err(|_| io::Error::other(format!("mirror: robot {robot} has no port")))?;
+        let any: IpAddr = match first {
+            SocketAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
+            SocketAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
+        };
+        let socket = UdpSocket::bind((any, 0))?;
+        socket.set_nonblocking(true)?;
+        Ok(Self {
+            socket,
+            to: SocketAddr::new(first.ip(), port),
+        })
+    }
+
+    fn copy(&self, bytes: &[u8]) {
+        // Whether anybody listens is nothing to the robot.
+        let _ = self.socket.send_to(bytes, self.to);
     }
 }
 

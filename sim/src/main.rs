@@ -1,6 +1,7 @@
 //! `sphere-sim`: runs scenarios.
 
 use std::io::{IsTerminal, Write};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -68,6 +69,9 @@ struct PlantsArgs {
     /// Port on which the first robot's agent is to listen; the next one's is two higher
     #[arg(long, value_name = "BASE", default_value_t = Ports::DEFAULT.agent)]
     agent_port: u16,
+    /// Send copies of every motor link's datagrams, both ways, to this UDP address; those of robot number i to its port + i
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    mirror: Option<SocketAddr>,
 }
 
 #[derive(Args)]
@@ -84,6 +88,9 @@ struct DemoArgs {
     /// Cut a robot's link for a while, as in --cut r2@30+6 (at 30 s, for 6 s); may be repeated
     #[arg(long = "cut", value_name = "ROBOT@S+S")]
     cuts: Vec<Cut>,
+    /// Send copies of every motor link's datagrams, both ways, to this UDP address; those of robot number i to its port + i
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    mirror: Option<SocketAddr>,
     /// Print the metrics as JSON, and nothing else, on standard output
     #[arg(long)]
     json: bool,
@@ -164,6 +171,7 @@ fn run_demo(args: &DemoArgs) -> anyhow::Result<Outcome> {
     let options = demo::Options {
         scenario,
         cuts: args.cuts.clone(),
+        mirror: args.mirror,
     };
     let performance = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
@@ -229,7 +237,7 @@ fn run_plants(args: &PlantsArgs) -> anyhow::Result<Outcome> {
         agent: args.agent_port,
         board: args.board_port,
     };
-    let served = plants_command::serve(&scenario, ports)?;
+    let served = plants_command::serve(&scenario, ports, args.mirror)?;
     // Whoever starts this as a process waits for the table: it comes when the sockets are open.
     print!("{}", served.table());
     println!("Plants run; Ctrl-C ends.");

@@ -8,7 +8,11 @@ use sphere_protocol::io::link::UdpLink;
 use sphere_protocol::robot::RobotId;
 use thiserror::Error;
 
+<<<<<<< HEAD
 use crate::live::{Pace, Plants, PlantsError, Ports, plant_setup};
+=======
+use crate::live::{Mirror, Pace, PlantSetup, Plants, PlantsError, Ports, board_link, plant_setup};
+>>>>>>> main
 use crate::scenario::{Scenario, ScenarioError};
 
 /// Plants, and where their agents reach them.
@@ -45,6 +49,9 @@ pub enum ServeError {
         /// The first ports.
         ports: Ports,
     },
+    /// The mirror's socket.
+    #[error("cannot mirror the motor links: {0}")]
+    Mirror(std::io::Error),
     /// A motor link, or the thread.
     #[error(transparent)]
     Plants(#[from] PlantsError),
@@ -69,11 +76,15 @@ pub fn row_of_robots(count: usize, seed: u64) -> Result<Scenario, ScenarioError>
     Scenario::parse("plants", &text, &[], no_files)
 }
 
-/// Starts the plants of `scenario` behind the sockets of `ports`.
+/// Starts the plants of `scenario` behind the sockets of `ports`; copies of their motor links go to `mirror` and the ports after it.
 ///
 /// # Errors
 /// A port that is taken; too many robots for the ports.
-pub fn serve(scenario: &Scenario, ports: Ports) -> Result<Served, ServeError> {
+pub fn serve(
+    scenario: &Scenario,
+    ports: Ports,
+    mirror: Option<SocketAddr>,
+) -> Result<Served, ServeError> {
     let robots = scenario.robots.len();
     let mut addresses = Vec::new();
     let mut setups = Vec::new();
@@ -81,8 +92,20 @@ pub fn serve(scenario: &Scenario, ports: Ports) -> Result<Served, ServeError> {
         let (Some(agent), Some(board)) = (ports.agent(index), ports.board(index)) else {
             return Err(ServeError::Ports { robots, ports });
         };
+<<<<<<< HEAD
         let link = UdpLink::open(board, agent).map_err(PlantsError::Link)?;
         setups.push(plant_setup(scenario, index, link));
+=======
+        let link = board_link(board, agent).map_err(PlantsError::Link)?;
+        let mirror = mirror
+            .map(|first| Mirror::new(first, index))
+            .transpose()
+            .map_err(ServeError::Mirror)?;
+        setups.push(PlantSetup {
+            mirror,
+            ..plant_setup(scenario, index, link)
+        });
+>>>>>>> main
         addresses.push(Addresses {
             robot: setup.id,
             agent,

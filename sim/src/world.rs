@@ -46,6 +46,19 @@ pub struct World {
     caused: u64,
     trace: Trace,
     reports: Vec<Report>,
+    tamper: Option<Tamper>,
+}
+
+/// Alters the frames of motor links in a test, or suppresses them by leaving nothing: whose, which way, the bytes.
+pub type Tamper = Box<dyn FnMut(Span, usize, MotorWay, &mut Vec<u8>)>;
+
+/// A direction on a motor link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MotorWay {
+    /// From the board.
+    ToAgent,
+    /// From the agent.
+    ToBoard,
 }
 
 /// Something an agent or the station reported.
@@ -162,6 +175,7 @@ impl World {
             caused: 0,
             trace: Trace::new(),
             reports: Vec::new(),
+            tamper: None,
         };
         for robot in 0..world.robots.len() {
             world.schedule(Span::ZERO, Happening::Sense { robot });
@@ -215,6 +229,21 @@ impl World {
                 Inject::Board(robot) => Happening::FrameToBoard { robot, bytes },
             },
         );
+    }
+
+    /// From now on every frame of a motor link passes through `tamper` first: what a broken link does, or a wrong unit on a board.
+    pub fn tamper_with_motor_links(&mut self, tamper: Tamper) {
+        self.tamper = Some(tamper);
+    }
+
+    /// A robot's agent, by its place in the scenario.
+    pub fn agent(&self, robot: usize) -> &Agent {
+        &self.robots[robot].agent
+    }
+
+    /// The station.
+    pub fn station(&self) -> &Station {
+        &self.station
     }
 
     fn happen(&mut self, now: WorldTime, what: Happening) {
@@ -299,14 +328,17 @@ impl World {
     }
 
     fn frame_to_agent(&mut self, now: WorldTime, robot: usize, frame: &[u8]) {
-        self.trace.absorb("motor", frame);
-        self.schedule(
-            now + MOTOR_LINK,
-            Happening::FrameToAgent {
-                robot,
-                bytes: frame.to_vec(),
-            },
-        );
+        let bytes = self.tampered(now, robot, MotorWay::ToAgent, frame);
+        self.trace.absorb("motor", &bytes);
+        self.schedule(now + MOTOR_LINK, Happening::FrameToAgent { robot, bytes });
+    }
+
+    fn tampered(&mut self, now: WorldTime, robot: usize, way: MotorWay, frame: &[u8]) -> Vec<u8> {
+        let mut bytes = frame.to_vec();
+        if let Some(tamper) = &mut self.tamper {
+            tamper(now, robot, way, &mut bytes);
+        }
+        bytes
     }
 
     fn agent_input(&mut self, now: WorldTime, robot: usize, input: AgentInput<'_>) {
@@ -316,15 +348,10 @@ impl World {
         while let Some(output) = self.robots[robot].agent.poll_output() {
             match output {
                 AgentOutput::Motor(frame) => {
-                    self.trace.absorb("motor", &frame);
+                    let bytes = self.tampered(now, robot, MotorWay::ToBoard, &frame);
+                    self.trace.absorb("motor", &bytes);
                     let arrival = now + CONTROL_TIME + MOTOR_LINK;
-                    self.schedule(
-                        arrival,
-                        Happening::FrameToBoard {
-                            robot,
-                            bytes: frame.to_vec(),
-                        },
-                    );
+                    self.schedule(arrival, Happening::FrameToBoard { robot, bytes });
                 }
                 AgentOutput::Publish {
                     direction,

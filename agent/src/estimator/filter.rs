@@ -49,6 +49,8 @@ pub(super) const ACCEL_BIAS: usize = 13;
 
 pub(super) type State = SVector<f64, STATES>;
 pub(super) type Covariance = SMatrix<f64, STATES, STATES>;
+/// A covariance as nalgebra stores it: where both loops have fixed bounds, plain arrays need no checks.
+type Columns = [[f64; STATES]; STATES];
 
 /// What one sensor frame gives the filter; a sensor that is not to be trusted gives `None`.
 #[derive(Clone, Copy, Debug)]
@@ -186,9 +188,11 @@ impl Filter {
             (Y, HEADING, dt * x_rate),
         ];
         // P is symmetric: (P Fᵀ)ᵀ = F P, and (F P) Fᵀ is symmetric again.
-        let f_p = times_transition(&self.p, &transition).transpose();
-        self.p = times_transition(&f_p, &transition);
-        make_symmetric(&mut self.p);
+        let p = &mut self.p.data.0;
+        times_transition(p, &transition);
+        transpose(p);
+        times_transition(p, &transition);
+        make_symmetric(p);
         self.add_process_noise(dt, unknown_force, radius, config);
     }
 
@@ -336,25 +340,31 @@ impl Filter {
     }
 }
 
-/// A (I + D)ᵀ for the few entries of D: each adds a multiple of one column to another.
-fn times_transition(a: &Covariance, transition: &[(usize, usize, f64)]) -> Covariance {
-    let mut product = *a;
-    let (columns, source) = (&mut product.data.0, &a.data.0);
+/// A = A (I + D)ᵀ for the few entries of D: each adds a multiple of one column to another.
+fn times_transition(a: &mut Columns, transition: &[(usize, usize, f64)]) {
+    let source = *a;
     for &(row, column, entry) in transition {
-        for (sum, value) in columns[row].iter_mut().zip(&source[column]) {
+        for (sum, value) in a[row].iter_mut().zip(&source[column]) {
             *sum += entry * value;
         }
     }
-    product
+}
+
+fn transpose(a: &mut Columns) {
+    for i in 0..STATES {
+        for j in 0..i {
+            (a[i][j], a[j][i]) = (a[j][i], a[i][j]);
+        }
+    }
 }
 
 /// (A + Aᵀ)/2: rounding must not make a covariance lopsided.
-fn make_symmetric(a: &mut Covariance) {
+fn make_symmetric(a: &mut Columns) {
     for i in 0..STATES {
         for j in 0..i {
-            let mean = 0.5 * (a[(i, j)] + a[(j, i)]);
-            a[(i, j)] = mean;
-            a[(j, i)] = mean;
+            let mean = 0.5 * (a[i][j] + a[j][i]);
+            a[i][j] = mean;
+            a[j][i] = mean;
         }
     }
 }

@@ -23,24 +23,33 @@ const TURN_MAX: f64 = 0.6;
 ///
 /// The path must move: |(ẋ, ẏ)| > 0.
 pub(super) fn along_centre(x: Jet<ORDERS>, y: Jet<ORDERS>, r: f64, branch: f64) -> ReferencePoint {
-    // A pass leaves two orders less that mean anything: the series get shorter.
-    let (px, py) = corrected::<ORDERS, 6>(x, y, x, y, r);
-    let (px, py) = corrected::<6, 4>(x.truncated(), y.truncated(), px, py, r);
-    let motion = Motion::of(px, py, r);
+    // Speed and tangent take one order, curvature and roll a second: the series get shorter.
+    let motion: Motion<7, 6> = Motion::of(&x, &y, r);
+    let (px, py) = motion.point(x.truncated(), y.truncated(), r);
+    let motion: Motion<5, 4> = Motion::of(&px, &py, r);
+    let (px, py) = motion.point(x.truncated(), y.truncated(), r);
+    let motion: Motion<3, 2> = Motion::of(&px, &py, r);
     // The tangent relative to the branch, so that the cut of atan2 lies opposite to it.
     let (s, c) = branch.sin_cos();
     let (cos, sin) = (motion.cos.value(), motion.sin.value());
     let heading = branch + (c * sin - s * cos).atan2(c * cos + s * sin);
-    at(px.value(), py.value(), heading, motion.w, motion.q_r, r)
+    at(
+        px.value(),
+        py.value(),
+        heading,
+        motion.w.truncated(),
+        motion.q_r,
+        r,
+    )
 }
 
 /// The reference while P is at (x, y) [m] with `heading` [rad], moving at `w` [m/s] and turning at `turn` = R φ̇ / w [1].
-pub(super) fn at_point<const N: usize>(
+pub(super) fn at_point(
     x: f64,
     y: f64,
     heading: f64,
-    w: Jet<N>,
-    turn: Jet<N>,
+    w: Jet<2>,
+    turn: Jet<2>,
     r: f64,
 ) -> ReferencePoint {
     at(x, y, heading, w, roll_of_turn(turn), r)
@@ -72,53 +81,40 @@ pub(super) fn curvature_of_roll(q_r: f64, r: f64) -> f64 {
     q_r.tan() / (1.0 + q_r * q_r.tan()) / r
 }
 
-/// P = C − R q_r n, with roll and normal of an earlier P.
-fn corrected<const N: usize, const M: usize>(
-    x: Jet<N>,
-    y: Jet<N>,
-    px: Jet<N>,
-    py: Jet<N>,
-    r: f64,
-) -> (Jet<M>, Jet<M>) {
-    let motion = Motion::of(px, py, r);
-    let side = motion.q_r * r;
-    (
-        (x + side * motion.sin).truncated(),
-        (y - side * motion.cos).truncated(),
-    )
+/// What a path of P implies, to D orders, and to E = D − 1 where the curvature enters.
+struct Motion<const D: usize, const E: usize> {
+    cos: Jet<D>,
+    sin: Jet<D>,
+    w: Jet<D>,
+    q_r: Jet<E>,
 }
 
-/// What a path of P implies.
-struct Motion<const N: usize> {
-    cos: Jet<N>,
-    sin: Jet<N>,
-    w: Jet<N>,
-    q_r: Jet<N>,
-}
-
-impl<const N: usize> Motion<N> {
-    fn of(px: Jet<N>, py: Jet<N>, r: f64) -> Self {
-        let (dx, dy) = (px.derivative(), py.derivative());
+impl<const D: usize, const E: usize> Motion<D, E> {
+    fn of<const N: usize>(px: &Jet<N>, py: &Jet<N>, r: f64) -> Self {
+        let (dx, dy): (Jet<D>, Jet<D>) = (px.derivative(), py.derivative());
         let w = (dx * dx + dy * dy).sqrt();
         let (cos, sin) = (dx / w, dy / w);
-        let heading_rate = cos * sin.derivative() - sin * cos.derivative();
+        let heading_rate: Jet<E> =
+            cos.truncated() * sin.derivative() - sin.truncated() * cos.derivative();
         Self {
             cos,
             sin,
             w,
-            q_r: roll_of_turn(heading_rate * r / w),
+            q_r: roll_of_turn(heading_rate * r / w.truncated()),
         }
+    }
+
+    /// P = C − R q_r n for the centre (x, y) [m], with this roll and normal.
+    fn point(&self, x: Jet<E>, y: Jet<E>, r: f64) -> (Jet<E>, Jet<E>) {
+        let side = self.q_r * r;
+        (
+            x + side * self.sin.truncated(),
+            y - side * self.cos.truncated(),
+        )
     }
 }
 
-fn at<const N: usize>(
-    px: f64,
-    py: f64,
-    heading: f64,
-    w: Jet<N>,
-    q_r: Jet<N>,
-    r: f64,
-) -> ReferencePoint {
+fn at(px: f64, py: f64, heading: f64, w: Jet<2>, q_r: Jet<2>, r: f64) -> ReferencePoint {
     let (s, c) = q_r.sin_cos();
     let v = w / (Jet::constant(1.0) + q_r * s / c);
     let side = r * q_r.value();

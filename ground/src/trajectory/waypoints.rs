@@ -90,7 +90,7 @@ impl Waypoints {
         let sigma = (s - piece.from).clamp(0.0, piece.length);
         let pose = piece.pose(sigma);
         let (curvature, slope) = piece.curvature(sigma);
-        at_point::<2>(
+        at_point(
             pose.x,
             pose.y,
             pose.heading,

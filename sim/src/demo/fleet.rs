@@ -22,7 +22,7 @@ use tokio::task::JoinHandle;
 
 use super::{Cut, DemoError, SceneRobot};
 use crate::body::{Purpose, stream};
-use crate::live::{Pace, PlantSetup, Plants, Truth, Truths, link_pair, plant_setup};
+use crate::live::{Mirror, Pace, PlantSetup, Plants, Truth, Truths, link_pair, plant_setup};
 use crate::metrics::{RobotRecord, SolverCounts};
 use crate::network::LinkModel;
 use crate::relay::{Direction, Relay};
@@ -68,7 +68,10 @@ struct LiveRobot {
 }
 
 impl Fleet {
-    pub(super) async fn start(scenario: &Scenario) -> Result<Self, DemoError> {
+    pub(super) async fn start(
+        scenario: &Scenario,
+        mirror: Option<SocketAddr>,
+    ) -> Result<Self, DemoError> {
         let known = Arc::new(Mutex::new(BTreeMap::<RobotId, Known>::new()));
         let (station, router, moved) = start_station(scenario, &known).await?;
         let mut robots = Vec::new();
@@ -76,7 +79,14 @@ impl Fleet {
         let mut links = Vec::new();
         for index in 0..scenario.robots.len() {
             let (agent_link, board_link) = link_pair()?;
-            setups.push(plant_setup(scenario, index, board_link));
+            let mirror = mirror
+                .map(|first| Mirror::new(first, index))
+                .transpose()
+                .map_err(DemoError::Port)?;
+            setups.push(PlantSetup {
+                mirror,
+                ..plant_setup(scenario, index, board_link)
+            });
             links.push(agent_link);
         }
         let plants = Plants::start(setups)?;
