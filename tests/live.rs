@@ -172,7 +172,11 @@ async fn loss_on_tcp_is_lateness() {
     let up = relay.up();
     let share = up.stalls as f64 / up.segments as f64;
     // Three standard errors of 400 draws; messages that were joined in one segment make it fewer.
-    assert!((0.05..0.15).contains(&share), "{share} of {} stalled", up.segments);
+    assert!(
+        (0.05..0.15).contains(&share),
+        "{share} of {} stalled",
+        up.segments
+    );
     // Behind a lost segment all wait for up to 200 ms.
     let stalled = latencies.iter().filter(|latency| **latency > 0.1).count();
     assert!(stalled > 100, "{stalled} of 400 late");
@@ -222,7 +226,9 @@ async fn a_cut_link_stops_its_robot_alone() {
         scenario,
         cuts: vec![cut],
     };
-    let performance = demo::perform(options, &mut stop, |_| ()).await.expect("a demo");
+    let performance = demo::perform(options, &mut stop, |_| ())
+        .await
+        .expect("a demo");
     let trace = &performance.run.trace;
     let modes = |robot: &str, from: f64, to: f64| -> Vec<Mode> {
         let rows = trace.rows_of(robot.parse().expect("an id"));
@@ -235,9 +241,16 @@ async fn a_cut_link_stops_its_robot_alone() {
         modes
     };
     let verdicts = demo::verdicts(&performance, &[cut]);
-    assert!(matches!(verdicts[0].1, demo::Verdict::Held(_)), "{verdicts:?}");
+    assert!(
+        matches!(verdicts[0].1, demo::Verdict::Held(_)),
+        "{verdicts:?}"
+    );
     assert_eq!(modes("r1", 11.0, 18.9), [Mode::Tracking, Mode::Holding]);
-    assert_eq!(modes("r1", 23.0, 24.0), [Mode::Tracking], "back on its path");
+    assert_eq!(
+        modes("r1", 23.0, 24.0),
+        [Mode::Tracking],
+        "back on its path"
+    );
     for robot in ["r2", "r3"] {
         assert_eq!(modes(robot, 11.5, 24.0), [Mode::Tracking], "{robot}");
     }
@@ -259,8 +272,17 @@ fn two_demos_run_side_by_side() {
         let errors = String::from_utf8_lossy(&output.stderr).into_owned();
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
         assert_eq!(output.status.code(), Some(0), "{errors}\n{text}");
-        assert!(text.contains("RMSE mm") && text.contains("Just shown: 3 robots"), "{text}");
-        for file in ["paths.svg", "r1-path.svg", "r2-errors.svg", "r3-modes.svg", "trace.csv"] {
+        assert!(
+            text.contains("RMSE mm") && text.contains("Just shown: 3 robots"),
+            "{text}"
+        );
+        for file in [
+            "paths.svg",
+            "r1-path.svg",
+            "r2-errors.svg",
+            "r3-modes.svg",
+            "trace.csv",
+        ] {
             assert!(folder.join(file).is_file(), "{file}");
         }
         let metrics = metrics(folder);
@@ -271,7 +293,10 @@ fn two_demos_run_side_by_side() {
         }
         for robot in metrics["live"]["robots"].as_array().expect("robots") {
             assert!(robot["control_lateness_p50_s"].as_f64().expect("steps") < 0.005);
-            assert!(robot["link_stalls"].as_u64().expect("a count") > 10, "{robot}");
+            assert!(
+                robot["link_stalls"].as_u64().expect("a count") > 10,
+                "{robot}"
+            );
         }
         endpoints.push(metrics["live"]["endpoint"].to_string());
     }
@@ -291,7 +316,11 @@ fn an_interrupted_demo_ends_cleanly() {
     assert!(killed.expect("kill").success());
     let output = demo.wait_with_output().expect("a demo");
     // 5 s to rest at most, then sessions close and plots are drawn.
-    assert!(asked.elapsed() < Duration::from_secs(12), "{:?}", asked.elapsed());
+    assert!(
+        asked.elapsed() < Duration::from_secs(12),
+        "{:?}",
+        asked.elapsed()
+    );
     let errors = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(0), "{errors}");
     let duration = metrics(&folder)["duration_s"].as_f64().expect("a figure");

@@ -8,11 +8,7 @@ use sphere_protocol::io::link::UdpLink;
 use sphere_protocol::robot::RobotId;
 use thiserror::Error;
 
-<<<<<<< HEAD
-use crate::live::{Pace, Plants, PlantsError, Ports, plant_setup};
-=======
-use crate::live::{Mirror, Pace, PlantSetup, Plants, PlantsError, Ports, board_link, plant_setup};
->>>>>>> main
+use crate::live::{Mirror, Pace, PlantSetup, Plants, PlantsError, Ports, plant_setup};
 use crate::scenario::{Scenario, ScenarioError};
 
 /// Plants, and where their agents reach them.
@@ -92,11 +88,7 @@ pub fn serve(
         let (Some(agent), Some(board)) = (ports.agent(index), ports.board(index)) else {
             return Err(ServeError::Ports { robots, ports });
         };
-<<<<<<< HEAD
         let link = UdpLink::open(board, agent).map_err(PlantsError::Link)?;
-        setups.push(plant_setup(scenario, index, link));
-=======
-        let link = board_link(board, agent).map_err(PlantsError::Link)?;
         let mirror = mirror
             .map(|first| Mirror::new(first, index))
             .transpose()
@@ -105,7 +97,6 @@ pub fn serve(
             mirror,
             ..plant_setup(scenario, index, link)
         });
->>>>>>> main
         addresses.push(Addresses {
             robot: setup.id,
             agent,
