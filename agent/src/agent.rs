@@ -9,8 +9,8 @@ use std::fmt::Write as _;
 use arrayvec::{ArrayString, ArrayVec};
 use sphere_protocol::key::Key;
 use sphere_protocol::mavlink::{
-    AGENT, BOARD, Event as BoardEvent, Frame, FrameReader, FrameWriter, Framing, Heartbeat,
-    TorqueCommand,
+    AGENT, BOARD, Event as BoardEvent, Frame, FrameCounters, FrameReader, FrameWriter, Framing,
+    Heartbeat, TorqueCommand,
 };
 use sphere_protocol::message::{
     Beacon, Command, CommandOrder, Direction, DropReason, Message, Mode, PlanId, Qos, SetpointPlan,
@@ -18,7 +18,7 @@ use sphere_protocol::message::{
 };
 use sphere_protocol::state::{BoardStatus, RobotState, Setpoint, Torque};
 use sphere_protocol::time::{AgentClock, BoardClock, Instant, Span};
-use sphere_protocol::wire::{self, Wire};
+use sphere_protocol::wire::{self, Wire, WireError};
 
 use crate::board_clock::BoardClockMap;
 use crate::config::AgentConfig;
@@ -33,7 +33,8 @@ use crate::reference::{Reference, roll_bound};
 /// What reaches an agent.
 #[derive(Clone, Copy, Debug)]
 pub enum Input<'a> {
-    /// Bytes from the motor board: any number of MAVLink frames, or parts of them.
+    /// A datagram from the motor board: any number of whole MAVLink frames. What is cut off at its end is dropped and counted: it
+    /// must not swallow the beginning of the next.
     Motor(&'a [u8]),
     /// A message of the fleet with its key.
     Message {
@@ -88,6 +89,8 @@ pub enum Event {
         order: CommandOrder,
         /// The mode that refused it.
         mode: Mode,
+        /// Why it is in that mode.
+        reason: Reason,
     },
     /// A station has the lease.
     Leased {
@@ -105,6 +108,8 @@ pub enum Event {
     },
     /// An incoming message was dropped.
     Dropped(DropReason),
+    /// Somebody sends messages of another schema version, which are dropped; told once for each topic and version.
+    Incompatible(WireError),
     /// Shut down: at rest, torque zero.
     Ended,
 }
@@ -140,11 +145,14 @@ pub struct Agent {
     board: Board,
     lease: Lease,
     dropped: [u32; DropReason::COUNT],
+    /// Schema versions that were refused and told of.
+    incompatible: ArrayVec<WireError, 8>,
     signals: Signals,
     still_since: Option<Instant<AgentClock>>,
-    shutdown: Option<Instant<AgentClock>>,
+    ending: Option<Ending>,
     torque_sequence: u32,
     due: Deadlines,
+    overruns: u64,
     outputs: VecDeque<Output>,
 }
 
@@ -155,6 +163,15 @@ struct Board {
     last_frame: Option<Instant<AgentClock>>,
     last_stamp: Option<Instant<BoardClock>>,
     status: BoardStatus,
+    /// Restarts of the estimator that were answered.
+    restarts: u64,
+}
+
+/// The program is to end.
+#[derive(Clone, Copy, Debug)]
+struct Ending {
+    asked: Instant<AgentClock>,
+    told: bool,
 }
 
 /// Who may send plans.
@@ -215,16 +232,18 @@ impl Agent {
             mode: ModeMachine::new(),
             playback: Playback::new(),
             reference: Reference::default(),
-            reader: FrameReader::new(Framing::Stream, AGENT, Some(BOARD.system)),
+            reader: FrameReader::new(Framing::Datagrams, AGENT, Some(BOARD.system)),
             writer: FrameWriter::new(AGENT),
             board: Board::default(),
             lease: Lease::default(),
             dropped: [0; DropReason::COUNT],
+            incompatible: ArrayVec::new(),
             signals: Signals::default(),
             still_since: None,
-            shutdown: None,
+            ending: None,
             torque_sequence: 0,
             due,
+            overruns: 0,
             outputs: VecDeque::with_capacity(OUTPUTS_MAX),
         })
     }
@@ -241,7 +260,7 @@ impl Agent {
             Input::Timeout => self.on_timeout(now),
             Input::Shutdown => self.on_shutdown(now),
             Input::Abort => {
-                self.shutdown.get_or_insert(now);
+                self.begin_ending(now);
                 let transition = self.mode.disarm(Reason::Shutdown);
                 self.report(transition);
             }
@@ -278,16 +297,31 @@ impl Agent {
         &self.dropped
     }
 
+    /// Control periods that passed without a step, because the deadline was noticed too late.
+    pub fn overruns(&self) -> u64 {
+        self.overruns
+    }
+
+    /// Frames of the motor board: those taken, and those dropped, by reason.
+    pub fn frames(&self) -> &FrameCounters {
+        self.reader.counters()
+    }
+
     fn on_motor(&mut self, now: Instant<AgentClock>, mut bytes: &[u8]) {
+        let before = *self.reader.counters();
         while let Some(received) = self.reader.pull(&mut bytes) {
             match received.event {
                 BoardEvent::Sensors { measurement, .. } => {
-                    self.board.clock.observe(now, measurement.stamp);
+                    let stamp = measurement.stamp;
+                    self.board.clock.observe(now, stamp);
                     self.board.status = measurement.status;
                     self.estimator.on_measurement(&measurement);
-                    // A frame that the estimator refuses leaves its stamp where it was, and the silence counts on.
+                    // A frame that the estimator refuses leaves its stamp where it was, and the silence counts on. One that was
+                    // held up on its way, in a full buffer or while the agent slept, is as old as it is.
                     if self.estimator.stamp() != self.board.last_stamp {
-                        self.board.last_frame = Some(now);
+                        let sampled = now - self.board.clock.age(now, stamp);
+                        let newest = self.board.last_frame.unwrap_or(sampled);
+                        self.board.last_frame = Some(newest.max(sampled));
                         self.board.last_stamp = self.estimator.stamp();
                     }
                 }
@@ -297,6 +331,21 @@ impl Agent {
                 }
                 BoardEvent::Heartbeat(_) | BoardEvent::Torque(_) | BoardEvent::Other(_) => {}
             }
+        }
+        // Counted without an event each: a link gone mad must not crowd out what else there is to do.
+        let after = *self.reader.counters();
+        for (reason, before, after) in [
+            (
+                DropReason::Malformed,
+                before.bad_checksum,
+                after.bad_checksum,
+            ),
+            (DropReason::OutOfRange, before.invalid, after.invalid),
+            (DropReason::WrongRobot, before.foreign, after.foreign),
+            (DropReason::Unexpected, before.unknown, after.unknown),
+        ] {
+            let count = &mut self.dropped[reason as usize];
+            *count = count.saturating_add(u32::try_from(after - before).unwrap_or(u32::MAX));
         }
     }
 
@@ -311,10 +360,31 @@ impl Agent {
             return Err(DropReason::WrongRobot);
         }
         match (key.direction(), key.topic()) {
-            (Direction::Down, SetpointPlan::TOPIC) => self.on_plan(now, decode(bytes)?),
-            (Direction::Command, Command::TOPIC) => self.on_command(now, &decode(bytes)?),
+            (Direction::Down, SetpointPlan::TOPIC) => {
+                let plan = self.decode(bytes)?;
+                self.on_plan(now, plan)
+            }
+            (Direction::Command, Command::TOPIC) => {
+                let command = self.decode(bytes)?;
+                self.on_command(now, &command)
+            }
             _ => Err(DropReason::Unexpected),
         }
+    }
+
+    fn decode<M: Wire>(&mut self, bytes: &[u8]) -> Result<M, DropReason> {
+        wire::decode(bytes).map_err(|error| {
+            let is_version = matches!(error, WireError::Version { .. });
+            // Beyond the list's room it is only counted: nobody has so many versions.
+            if is_version
+                && !self.incompatible.contains(&error)
+                && self.incompatible.try_push(error).is_ok()
+            {
+                self.due.status = self.due.control;
+                self.emit(Output::Event(Event::Incompatible(error)));
+            }
+            error.reason()
+        })
     }
 
     fn on_plan(&mut self, now: Instant<AgentClock>, plan: SetpointPlan) -> Result<(), DropReason> {
@@ -327,8 +397,11 @@ impl Agent {
         if self.lease.station == 0 || plan.id.epoch != self.lease.epoch {
             return Err(DropReason::WrongEpoch);
         }
+        self.playback
+            .receive(plan, now, &self.config.robot.limits)?;
+        // Only what is new shows that the station lives: a replayed plan keeps no lease.
         self.lease.heard = Some(now);
-        self.playback.receive(plan, now, &self.config.robot.limits)
+        Ok(())
     }
 
     fn on_command(
@@ -370,6 +443,10 @@ impl Agent {
                 self.end_lease();
                 None
             }
+            // What ends is not set in motion again.
+            CommandOrder::Arm | CommandOrder::Resume if self.ending.is_some() => {
+                Some(self.mode.mode())
+            }
             CommandOrder::Arm => match self.mode.arm() {
                 Ok(transition) => {
                     if transition.is_some() {
@@ -386,6 +463,7 @@ impl Agent {
             self.emit(Output::Event(Event::Refused {
                 order: command.order,
                 mode,
+                reason: self.mode.reason(),
             }));
         }
         Ok(())
@@ -402,7 +480,7 @@ impl Agent {
             return;
         }
         // A plan in play ends by its own validity: a station that restarts picks the robot up without a jump.
-        self.lease.epoch += 1;
+        self.lease.epoch = self.lease.epoch.saturating_add(1);
         self.lease.station = station;
         self.lease.heard = Some(now);
         self.due.status = now;
@@ -420,23 +498,32 @@ impl Agent {
     }
 
     fn on_shutdown(&mut self, now: Instant<AgentClock>) {
-        if self.shutdown.is_none() {
-            self.shutdown = Some(now);
+        if self.begin_ending(now) {
             if let Ok(transition) = self.mode.hold(Reason::Shutdown) {
                 self.report(transition);
             }
         }
     }
 
+    /// Whether it had not begun before.
+    fn begin_ending(&mut self, now: Instant<AgentClock>) -> bool {
+        let begins = self.ending.is_none();
+        self.ending.get_or_insert(Ending {
+            asked: now,
+            told: false,
+        });
+        begins
+    }
+
     fn on_timeout(&mut self, now: Instant<AgentClock>) {
-        while self.due.control <= now {
+        if self.due.control <= now {
             self.control_step(now);
-            self.due.control += self.config.timing.control;
+            self.overruns += advance(&mut self.due.control, self.config.timing.control, now);
         }
         if self.due.heartbeat <= now {
             let frame = self.writer.heartbeat(&Heartbeat::agent(self.mode.mode()));
             self.emit(Output::Motor(frame));
-            self.due.heartbeat += HEARTBEAT_PERIOD;
+            advance(&mut self.due.heartbeat, HEARTBEAT_PERIOD, now);
         }
         if self.due.status <= now {
             self.publish_status(now);
@@ -444,7 +531,7 @@ impl Agent {
         }
         if self.due.beacon <= now {
             self.publish_beacon(now);
-            self.due.beacon += self.config.timing.beacon;
+            advance(&mut self.due.beacon, self.config.timing.beacon, now);
         }
     }
 
@@ -457,13 +544,17 @@ impl Agent {
             let transition = self.mode.fault(reason);
             self.report(transition);
         }
+        if let Some(reason) = self.first_loss() {
+            let transition = self.mode.failsafe(reason);
+            self.report(transition);
+        }
         self.watch_rest(now, &state);
 
         self.playback.advance(now);
         let planned = self.planned_command(now, &state);
         if self.due.telemetry <= now {
             self.publish_telemetry(now, &state);
-            self.due.telemetry += self.config.timing.telemetry;
+            advance(&mut self.due.telemetry, self.config.timing.telemetry, now);
         }
 
         let dt = self.config.timing.control.as_secs_f64();
@@ -571,7 +662,7 @@ impl Agent {
             Some(Check::SensorsFresh)
         } else if !self.estimator.converged() {
             Some(Check::EstimatorConverged)
-        } else if !self.sensors_healthy() {
+        } else if !self.sensors_healthy() || !self.estimator.sensor_health().accel {
             Some(Check::BoardHealthy)
         } else if self.estimator.position_sigma() > LOCALISED_SIGMA {
             Some(Check::Localised)
@@ -592,8 +683,11 @@ impl Agent {
             state.heading,
             state.v,
             state.q_r,
+            state.q_r_rate,
             state.beta,
+            state.beta_rate,
             state.alpha,
+            state.alpha_rate,
         ];
         if self.sensors_stale(now) {
             Some(Reason::SensorsLost)
@@ -605,6 +699,19 @@ impl Agent {
             || state.alpha.abs().max(state.beta.abs()) > SWING_FAULT
         {
             Some(Reason::OverTilt)
+        } else {
+            None
+        }
+    }
+
+    /// What is lost and leaves the robot able to brake and hold.
+    fn first_loss(&mut self) -> Option<Reason> {
+        let restarts = self.estimator.counters().restarts;
+        if restarts != self.board.restarts {
+            self.board.restarts = restarts;
+            Some(Reason::EstimatorRestarted)
+        } else if !self.estimator.sensor_health().accel {
+            Some(Reason::AccelerometerFailed)
         } else {
             None
         }
@@ -630,7 +737,7 @@ impl Agent {
         } else if self.still_since.is_none() {
             self.still_since = Some(now);
         }
-        let Some(asked) = self.shutdown else {
+        let Some(Ending { asked, told: false }) = self.ending else {
             return;
         };
         let at_rest = self
@@ -639,7 +746,7 @@ impl Agent {
         if !self.mode.is_armed() || at_rest || now - asked >= SHUTDOWN_MAX {
             let transition = self.mode.disarm(Reason::Shutdown);
             self.report(transition);
-            self.shutdown = None;
+            self.ending = Some(Ending { asked, told: true });
             self.emit(Output::Event(Event::Ended));
         }
     }
@@ -769,8 +876,13 @@ impl Agent {
     }
 }
 
-fn decode<M: Wire>(bytes: &[u8]) -> Result<M, DropReason> {
-    wire::decode(bytes).map_err(|error| error.reason())
+/// Moves `due` by whole periods to the first that is later than `now`; returns how many were skipped. A paused program does not
+/// make up for what it missed.
+fn advance(due: &mut Instant<AgentClock>, period: Span, now: Instant<AgentClock>) -> u64 {
+    let period = period.as_nanos().max(1);
+    let missed = now.since(*due).as_nanos().max(0) / period;
+    *due += Span::from_nanos(period.saturating_mul(missed.saturating_add(1)));
+    missed.unsigned_abs()
 }
 
 impl Lease {

@@ -13,11 +13,12 @@ pub struct BoardClockMap {
 struct Sample {
     offset: i64,
     at: Instant<AgentClock>,
+    stamp: Instant<BoardClock>,
 }
 
 /// Twice the worst drift between two ordinary crystals.
 const LEAK_PPM: i64 = 200;
-/// A stamp this much older than any before comes from a board that has restarted.
+/// A stamp this much older than the one before comes from a board that has restarted. One that is merely late has a newer stamp.
 const RESTART: Span = Span::from_millis(500);
 
 impl BoardClockMap {
@@ -25,7 +26,7 @@ impl BoardClockMap {
     pub fn observe(&mut self, arrival: Instant<AgentClock>, stamp: Instant<BoardClock>) {
         let offset = arrival.as_nanos().saturating_sub(stamp.as_nanos());
         let offset = match self.newest {
-            Some(known) if offset.saturating_sub(known.offset) < RESTART.as_nanos() => {
+            Some(known) if known.stamp.since(stamp) < RESTART => {
                 let elapsed = (arrival - known.at).as_nanos().max(0);
                 offset.min(known.offset.saturating_add(elapsed / 1_000_000 * LEAK_PPM))
             }
@@ -34,6 +35,7 @@ impl BoardClockMap {
         self.newest = Some(Sample {
             offset,
             at: arrival,
+            stamp,
         });
     }
 

@@ -38,7 +38,9 @@ pub struct Timing {
     pub torque_validity: Span,
     /// Sensor frames older than this make control impossible.
     pub sensor_timeout: Span,
-    /// A lease whose station has been silent for this long may be claimed by another.
+    /// A lease whose station has been silent for this long may be claimed by another. Plans come at 10 Hz: after ten that are
+    /// missing the station is taken for dead. Shorter than a horizon, so that a station that is started anew under another
+    /// identity has its plans there before the last one of its predecessor has been played.
     pub lease_timeout: Span,
 }
 
@@ -51,7 +53,7 @@ impl Default for Timing {
             beacon: Span::from_millis(200),
             torque_validity: Span::from_millis(60),
             sensor_timeout: Span::from_millis(100),
-            lease_timeout: Span::from_millis(3000),
+            lease_timeout: Span::from_millis(1000),
         }
     }
 }

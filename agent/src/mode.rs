@@ -6,7 +6,8 @@
 //!                        ▲                          │ hold          │ no valid plan, hold
 //!                        │ disarm (from anywhere)   ▼               ▼
 //!                        └─────────────────────── Holding ◄─────────┘
-//!                        └── Failsafe (brakes, holds; latched) · Fault (zero torque; latched)
+//!                        ├── Failsafe (brakes, holds; latched): a loss on board that leaves control possible
+//!                        └── Fault (zero torque; latched): control is impossible
 //! ```
 
 use core::fmt;
@@ -36,8 +37,12 @@ pub enum Reason {
     LeaseChanged,
     /// No valid sensor frame for too long.
     SensorsLost,
-    /// The board reports that its IMU or an encoder has failed.
+    /// The IMU or an encoder has failed, by the board's own word or by what it sends.
     SensorFailed,
+    /// The accelerometer has failed: attitude holds for a while without it.
+    AccelerometerFailed,
+    /// The estimator had to start anew, as after a restart of the motor board.
+    EstimatorRestarted,
     /// The estimator's state is not finite or its filter diverged.
     EstimatorFailed,
     /// Roll or swing beyond what can be controlled.
@@ -53,7 +58,7 @@ pub enum Reason {
 pub enum Check {
     /// Sensor frames arrive and are valid.
     SensorsFresh,
-    /// The board reports its IMU and encoders healthy.
+    /// IMU and encoders are healthy, by the board's own word and by what they say.
     BoardHealthy,
     /// The estimator has settled.
     EstimatorConverged,
@@ -79,6 +84,8 @@ pub struct Transition {
 pub struct ModeMachine {
     mode: Mode,
     reason: Reason,
+    /// First pre-arm check that failed when they were run last.
+    failing: Option<Check>,
     hold_ordered: bool,
 }
 
@@ -88,6 +95,7 @@ impl ModeMachine {
         Self {
             mode: Mode::Boot,
             reason: Reason::Started,
+            failing: None,
             hold_ordered: false,
         }
     }
@@ -97,9 +105,12 @@ impl ModeMachine {
         self.mode
     }
 
-    /// Why it is in this mode.
+    /// Why it is in this mode; as long as a check keeps it from being ready, that check.
     pub fn reason(&self) -> Reason {
-        self.reason
+        match (self.mode, self.failing) {
+            (Mode::Boot | Mode::Disarmed, Some(check)) => Reason::CheckFails(check),
+            _ => self.reason,
+        }
     }
 
     /// Whether torque may flow at all.
@@ -118,6 +129,7 @@ impl ModeMachine {
 
     /// The pre-arm checks, run before each control step: `failing` is the first that fails.
     pub fn on_checks(&mut self, failing: Option<Check>) -> Option<Transition> {
+        self.failing = failing;
         match (self.mode, failing) {
             (Mode::Boot, Some(Check::EstimatorConverged | Check::SensorsFresh)) => None,
             (Mode::Boot, Some(_)) => self.enter(Mode::Disarmed, Reason::Converged),
@@ -198,6 +210,15 @@ impl ModeMachine {
         }
     }
 
+    /// Something on board is lost, control is still possible: brake, hold, latched.
+    pub fn failsafe(&mut self, reason: Reason) -> Option<Transition> {
+        if self.is_armed() {
+            self.enter(Mode::Failsafe, reason)
+        } else {
+            None
+        }
+    }
+
     /// Control is impossible: zero torque, latched.
     pub fn fault(&mut self, reason: Reason) -> Option<Transition> {
         if self.is_armed() {
@@ -241,7 +262,9 @@ impl fmt::Display for Reason {
             Self::PlanEnded(NoPlan::Expired) => "the plan's validity has ended",
             Self::LeaseChanged => "the lease has changed",
             Self::SensorsLost => "no valid sensor frame for 100 ms",
-            Self::SensorFailed => "the board reports a failed sensor",
+            Self::SensorFailed => "the IMU or an encoder has failed",
+            Self::AccelerometerFailed => "the accelerometer has failed",
+            Self::EstimatorRestarted => "the estimator had to start anew",
             Self::EstimatorFailed => "the estimator has no finite state",
             Self::OverTilt => "roll or swing beyond what can be controlled",
             Self::ControllerFailed => "a torque controller returned no finite torque",
@@ -254,7 +277,7 @@ impl fmt::Display for Check {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::SensorsFresh => "no fresh sensor frames",
-            Self::BoardHealthy => "the board reports a failed sensor",
+            Self::BoardHealthy => "the IMU or an encoder has failed",
             Self::EstimatorConverged => "the estimator has not settled (keep the robot still)",
             Self::Localised => "the position is not known",
             Self::Upright => "the robot is not upright",

@@ -17,8 +17,9 @@ use sphere_protocol::io::bus::{Bus, Declared, Inbox, Role};
 use sphere_protocol::io::clock::Clock;
 use sphere_protocol::io::link::{DATAGRAM_MAX, UdpLink};
 use sphere_protocol::key::{Key, every};
-use sphere_protocol::message::{Direction, DropReason, Mode, Qos};
-use sphere_protocol::time::AgentClock;
+use sphere_protocol::mavlink::FrameCounters;
+use sphere_protocol::message::{Direction, DropReason, Mode, PlanId, Qos};
+use sphere_protocol::time::{AgentClock, Instant, Span};
 use thiserror::Error;
 use tokio::sync::mpsc;
 use tracing::{debug, info, warn};
@@ -40,16 +41,40 @@ pub struct Setup {
 }
 
 /// What an agent does, now.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Snapshot {
     /// Its mode; `None` before its first control step.
     pub mode: Option<Mode>,
     /// Signals of its last control step.
     pub signals: Signals,
-    /// When that was, on the clock of the process that started it.
+    /// When that was.
+    pub stepped: Instant<AgentClock>,
+    /// Its clock, by which a reader in the same process can tell the time as it does; `None` before its first control step.
     pub clock: Option<Clock<AgentClock>>,
     /// How late its control steps begin.
     pub lateness: Lateness,
+    /// The newest plan that it received.
+    pub newest_plan: Option<PlanId>,
+    /// Arrival of that plan minus the stamp of the telemetry it was computed from.
+    pub loop_delay: Option<Span>,
+    /// Plans that have begun since the start.
+    pub plans_begun: u64,
+}
+
+impl Default for Snapshot {
+    /// Before the first control step.
+    fn default() -> Self {
+        Self {
+            mode: None,
+            signals: Signals::default(),
+            stepped: Instant::from_nanos(0),
+            clock: None,
+            lateness: Lateness::default(),
+            newest_plan: None,
+            loop_delay: None,
+            plans_begun: 0,
+        }
+    }
 }
 
 /// How late control steps begin, counted in a histogram of fixed size.
@@ -67,6 +92,8 @@ pub struct Report {
     pub lateness: Lateness,
     /// Messages and frames dropped, by [`DropReason`].
     pub dropped: [u32; DropReason::COUNT],
+    /// Frames of the motor board: those taken, and those dropped, by reason.
+    pub frames: FrameCounters,
 }
 
 /// Why an agent could not be run, or ended by itself.
@@ -269,13 +296,19 @@ fn control_loop(
         if stepped && let Some(Ok(mut shown)) = watch.map(Mutex::try_lock) {
             shown.mode = Some(agent.mode());
             shown.signals = *agent.signals();
+            shown.stepped = now;
             shown.clock = Some(clock);
             shown.lateness.clone_from(&lateness);
+            let playback = agent.playback();
+            shown.newest_plan = playback.newest();
+            shown.loop_delay = playback.loop_delay();
+            shown.plans_begun = playback.begun();
         }
         if ended {
             return Ok(Report {
                 lateness,
                 dropped: *agent.dropped(),
+                frames: *agent.frames(),
             });
         }
     }
@@ -322,11 +355,16 @@ fn log(id: &sphere_protocol::robot::RobotId, event: &Event) {
         Event::Mode(transition) => info!(
             robot = %id, from = ?transition.from, to = ?transition.to, reason = %transition.reason, "mode"
         ),
-        Event::Refused { order, mode } => warn!(robot = %id, ?order, ?mode, "order refused"),
+        Event::Refused {
+            order,
+            mode,
+            reason,
+        } => warn!(robot = %id, ?order, ?mode, %reason, "order refused"),
         Event::Leased { station, epoch } => info!(robot = %id, station, epoch, "leased"),
         Event::LeaseRefused { station, holder } => {
             warn!(robot = %id, station, holder, "lease refused")
         }
+        Event::Incompatible(error) => warn!(robot = %id, %error, "incompatible: messages dropped"),
         Event::Dropped(reason) => debug!(robot = %id, ?reason, "dropped"),
         Event::Ended => info!(robot = %id, "at rest, torque zero"),
     }

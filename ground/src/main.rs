@@ -3,11 +3,17 @@
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use clap::{Parser, Subcommand};
+use sphere_ground::config_file::StationFile;
 use sphere_ground::mpc::{Solver, Status};
 use sphere_ground::plan_command;
+use sphere_ground::run::{self, RunError, Setup};
+use sphere_ground::station::StationConfig;
+use sphere_protocol::io::{log, stop};
+use tracing::{info, warn};
 
 /// Ground station of a fleet of spherical robots.
 #[derive(Parser)]
@@ -19,6 +25,15 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Run the station: plan for every robot of the configuration.
+    ///
+    /// Ctrl-C or SIGTERM ends it; the robots then play their last plan to its end, brake and hold.
+    /// Exit code 0: ended as asked; 1: the network refused it, or a fault; 2: the configuration is not usable.
+    Serve {
+        /// The configuration; ./station.toml if not given. A commented example: examples/station.toml
+        #[arg(long)]
+        config: Option<PathBuf>,
+    },
     /// Solve the planning problems of a file, exactly as given.
     ///
     /// Exit code 0: all solved; 1: one was not; 2: the file is not as the format has it.
@@ -35,18 +50,90 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let Command::Plan {
-        problem,
-        json,
-        solver,
-    } = Arguments::parse().command;
-    match plan(&problem, json, solver) {
+    let result = match Arguments::parse().command {
+        Command::Plan {
+            problem,
+            json,
+            solver,
+        } => plan(&problem, json, solver),
+        Command::Serve { config } => serve(config.as_deref()),
+    };
+    match result {
         Ok(code) => code,
         Err(error) => {
             eprintln!("sphere-ground: {error:#}");
-            ExitCode::from(2)
+            // What happens after the configuration was accepted is no mistake in it.
+            ExitCode::from(if error.is::<RunError>() { 1 } else { 2 })
         }
     }
+}
+
+fn serve(config: Option<&Path>) -> Result<ExitCode> {
+    let setup = prepare(config)?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(1)
+        .enable_all()
+        .build()
+        .context("cannot start the runtime")?;
+    runtime.block_on(async {
+        let mut signals = stop::on_signals().context("cannot listen for signals")?;
+        let (first, stop) = tokio::sync::mpsc::channel(1);
+        let serving = run::serve(setup, stop);
+        tokio::pin!(serving);
+        loop {
+            tokio::select! {
+                ended = &mut serving => return ended.map(|()| ExitCode::SUCCESS).map_err(Into::into),
+                Some(()) = signals.recv() => {
+                    if first.try_send(()).is_err() {
+                        warn!("asked again: ending without closing the network");
+                        return Ok(ExitCode::SUCCESS);
+                    }
+                    info!("ending: robots play their last plans to the end, brake and hold");
+                }
+            }
+        }
+    })
+    .inspect(|_| runtime.shutdown_timeout(Duration::from_millis(100)))
+}
+
+fn prepare(config: Option<&Path>) -> Result<Setup> {
+    let path = config.unwrap_or(Path::new("station.toml"));
+    let file = path.display().to_string();
+    let text = match std::fs::read_to_string(path) {
+        Err(error) if config.is_none() && error.kind() == io::ErrorKind::NotFound => {
+            return Err(anyhow!(
+                "there is no station.toml here, and no --config names another file: copy examples/station.toml of the sources, whose comments explain every key"
+            ));
+        }
+        read => read.with_context(|| format!("cannot read {file}"))?,
+    };
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let station = StationFile::parse(&file, &text, |robot| {
+        let path = folder.join(robot);
+        std::fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))
+    })?;
+    log::to_stderr(station.log)?;
+    let id = match station.station {
+        Some(id) => id,
+        // 0 means nobody.
+        None => getrandom::u64()
+            .context("the system gives no random station id")?
+            .max(1),
+    };
+    info!(
+        station = id,
+        robots = station.robots.len(),
+        "station starts"
+    );
+    Ok(Setup {
+        station: StationConfig {
+            station: id,
+            planner: station.planner,
+            robots: station.robots,
+        },
+        network: station.network.into(),
+        watch: None,
+    })
 }
 
 fn plan(path: &Path, json: bool, solver: Solver) -> Result<ExitCode> {

@@ -200,6 +200,10 @@ fn log(robot: RobotId, event: &Event) {
         Event::MissionStarted => info!(%robot, "mission started"),
         Event::MissionDone => info!(%robot, "mission done"),
         Event::MissionRefused(error) => warn!(%robot, %error, "mission refused"),
+        Event::Incompatible(error) => warn!(%robot, %error, "incompatible: messages dropped"),
+        Event::RefusedByRobot { count } => warn!(
+            %robot, count, "incompatible: the robot drops our messages for their schema version; update the older side"
+        ),
         Event::Stale => warn!(%robot, "telemetry is too old to plan from"),
     }
 }

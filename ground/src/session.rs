@@ -11,6 +11,7 @@ use sphere_protocol::message::{
 };
 use sphere_protocol::robot::{Robot, RobotId};
 use sphere_protocol::time::{AgentClock, GroundClock, Instant, Span};
+use sphere_protocol::wire::WireError;
 
 use crate::link::Link;
 use crate::planner::{Beginning, Knots, Planner};
@@ -71,6 +72,10 @@ pub struct Session {
     is_held: bool,
     /// Whether plans could be made at the last tick that wanted one.
     is_stale: bool,
+    /// Schema versions that were refused and told of.
+    incompatible: Vec<WireError>,
+    /// Our messages that the robot has refused for their schema version, in its present life.
+    refused_versions: u32,
     counters: Counters,
 }
 
@@ -97,6 +102,8 @@ impl Session {
             past_boots: VecDeque::new(),
             is_held: false,
             is_stale: false,
+            incompatible: Vec::new(),
+            refused_versions: 0,
             counters: Counters::default(),
         }
     }
@@ -134,6 +141,18 @@ impl Session {
     pub(crate) fn count_drop(&mut self, reason: DropReason) {
         let count = &mut self.counters.dropped[reason as usize];
         *count = count.saturating_add(1);
+    }
+
+    /// A message that could not be read. Another schema version is told of, once for each topic and version.
+    pub(crate) fn on_unreadable(&mut self, error: WireError, out: &mut Vec<Request>) {
+        self.count_drop(error.reason());
+        if matches!(error, WireError::Version { .. })
+            && self.incompatible.len() < INCOMPATIBLE_MAX
+            && !self.incompatible.contains(&error)
+        {
+            self.incompatible.push(error);
+            out.push(Request::Event(Event::Incompatible(error)));
+        }
     }
 
     pub(crate) fn on_telemetry(
@@ -204,7 +223,14 @@ impl Session {
         }
         match &self.life {
             // Telemetry, which comes often, decides which life is the present one.
-            Some(life) if life.boot_id == status.boot_id => self.lease.on_status(status, out),
+            Some(life) if life.boot_id == status.boot_id => {
+                let refused = status.dropped[DropReason::Version as usize];
+                if refused > 0 && self.refused_versions == 0 {
+                    out.push(Request::Event(Event::RefusedByRobot { count: refused }));
+                }
+                self.refused_versions = refused;
+                self.lease.on_status(status, out);
+            }
             _ => self.count_drop(DropReason::WrongBoot),
         }
     }
@@ -432,6 +458,7 @@ impl Session {
         self.predictor.clear();
         self.planner.reset();
         self.lease.restart();
+        self.refused_versions = 0;
         self.life = None;
     }
 }
@@ -455,5 +482,7 @@ const POSITION_SIGMA_MAX: f64 = 0.2;
 const AHEAD_MAX: Span = Span::from_millis(60_000);
 /// Earlier lives whose late packets are recognised.
 const PAST_BOOTS: usize = 8;
+/// Schema versions told of: nobody has so many.
+const INCOMPATIBLE_MAX: usize = 8;
 /// Roll beyond which the kinematics mean nothing [rad].
 const ROLL_END: f64 = 1.4;

@@ -18,7 +18,7 @@ use sphere_protocol::message::{
 };
 use sphere_protocol::robot::{Robot, RobotId};
 use sphere_protocol::time::{AgentClock, GroundClock, Instant, Span};
-use sphere_protocol::wire::{self, Buffer, Wire};
+use sphere_protocol::wire::{self, Buffer, Wire, WireError};
 
 use crate::session::{Request, Session};
 use crate::settings::PlannerSettings;
@@ -149,6 +149,13 @@ pub enum Event {
     MissionRefused(MissionError),
     /// Telemetry is too old to plan from.
     Stale,
+    /// It sends messages of another schema version, which are dropped; told once for each topic and version.
+    Incompatible(WireError),
+    /// It drops our messages for their schema version; told once in each of its lives.
+    RefusedByRobot {
+        /// How many it had dropped by then.
+        count: u32,
+    },
 }
 
 /// The station.
@@ -277,11 +284,11 @@ impl Station {
         match (key.direction(), key.topic()) {
             (Direction::Up, Telemetry::TOPIC) => match wire::decode::<Telemetry>(bytes) {
                 Ok(telemetry) => session.on_telemetry(now, telemetry, &mut self.requests),
-                Err(error) => session.count_drop(error.reason()),
+                Err(error) => session.on_unreadable(error, &mut self.requests),
             },
             (Direction::Up, Status::TOPIC) => match wire::decode::<Status>(bytes) {
                 Ok(status) => session.on_status(&status, &mut self.requests),
-                Err(error) => session.count_drop(error.reason()),
+                Err(error) => session.on_unreadable(error, &mut self.requests),
             },
             _ => session.count_drop(DropReason::Unexpected),
         }

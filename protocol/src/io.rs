@@ -4,3 +4,5 @@
 pub mod bus;
 pub mod clock;
 pub mod link;
+pub mod log;
+pub mod stop;

@@ -264,6 +264,37 @@ pub struct Beacon {
 impl DropReason {
     /// How many reasons there are.
     pub const COUNT: usize = 10;
+    /// All of them, in the order of their numbers.
+    pub const ALL: [Self; Self::COUNT] = [
+        Self::Malformed,
+        Self::Version,
+        Self::WrongRobot,
+        Self::WrongBoot,
+        Self::WrongEpoch,
+        Self::Old,
+        Self::Expired,
+        Self::Future,
+        Self::OutOfRange,
+        Self::Unexpected,
+    ];
+}
+
+impl core::fmt::Display for DropReason {
+    /// As an adjective of what was dropped.
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Malformed => "not decodable",
+            Self::Version => "of another schema version",
+            Self::WrongRobot => "for another robot",
+            Self::WrongBoot => "for an earlier life",
+            Self::WrongEpoch => "under another lease",
+            Self::Old => "old",
+            Self::Expired => "expired",
+            Self::Future => "from the future",
+            Self::OutOfRange => "out of range",
+            Self::Unexpected => "unexpected",
+        })
+    }
 }
 
 impl Message for Telemetry {

@@ -9,6 +9,23 @@ use core::marker::PhantomData;
 use core::ops::{Add, AddAssign, Neg, Sub};
 
 /// A point in time of clock `C`, in nanoseconds since that clock's own origin.
+///
+/// Instants of two clocks do not mix:
+///
+/// ```compile_fail
+/// use sphere_protocol::time::{AgentClock, GroundClock, Instant};
+/// let on_board = Instant::<AgentClock>::from_nanos(1);
+/// let at_the_station = Instant::<GroundClock>::from_nanos(2);
+/// let nonsense = at_the_station - on_board;
+/// ```
+///
+/// Those of one clock do:
+///
+/// ```
+/// use sphere_protocol::time::{AgentClock, Instant, Span};
+/// let start = Instant::<AgentClock>::from_nanos(0);
+/// assert_eq!((start + Span::from_millis(20)) - start, Span::from_secs_f64(0.02));
+/// ```
 pub struct Instant<C> {
     ns: i64,
     clock: PhantomData<fn() -> C>,

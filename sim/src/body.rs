@@ -8,7 +8,7 @@ use sphere_protocol::mavlink::{
     AGENT, BOARD, Event, Frame, FrameReader, FrameWriter, Framing, Heartbeat, TorqueCommand,
 };
 use sphere_protocol::robot::RobotParams;
-use sphere_protocol::state::{RobotState, Torque};
+use sphere_protocol::state::{BoardStatus, RobotState, Torque};
 use sphere_protocol::time::{BoardClock, Instant, Span};
 
 use crate::actuator::{Actuator, MotorBoard};
@@ -18,6 +18,8 @@ use crate::sensor::{PositionSource, Sensors};
 
 /// Step of the plant's integration.
 pub const STEP: Span = Span::from_millis(1);
+/// Time between two of the board's signs of life.
+pub const BOARD_HEARTBEAT: Span = Span::from_millis(1000);
 
 /// What a body is made of.
 #[derive(Clone, Debug)]
@@ -118,7 +120,7 @@ impl Body {
             positions: PositionSource::new(setup.fix_sigma, random.positions),
             disturbance: setup.disturbance,
             clock_offset: setup.clock_offset,
-            reader: FrameReader::new(Framing::Stream, BOARD, Some(AGENT.system)),
+            reader: FrameReader::new(Framing::Datagrams, BOARD, Some(AGENT.system)),
             writer: FrameWriter::new(BOARD),
             samples: 0,
             newest_command: None,
@@ -138,7 +140,7 @@ impl Body {
         }
     }
 
-    /// Bytes from the agent. Torque commands are obeyed from the next step on; everything else is counted.
+    /// A datagram from the agent: whole frames. Torque commands are obeyed from the next step on; everything else is counted.
     pub fn receive(&mut self, mut bytes: &[u8]) {
         let now = self.board_now();
         while let Some(received) = self.reader.pull(&mut bytes) {
@@ -209,6 +211,11 @@ impl Body {
     /// The torque at the joints.
     pub fn torque(&self) -> Torque {
         self.actuator.torque()
+    }
+
+    /// What the motor board says of itself: whether the motors are on, and a command in force.
+    pub fn board_status(&self) -> BoardStatus {
+        self.board.status(self.board_now())
     }
 
     /// Torque commands that were well formed and not obeyed.

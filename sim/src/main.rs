@@ -1,28 +1,37 @@
 //! `sphere-sim`: runs scenarios.
 
 use std::io::{IsTerminal, Write};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
+use sphere_sim::demo::{self, Cut};
+use sphere_sim::live::Ports;
 use sphere_sim::run::{Run, run};
 use sphere_sim::scenario::Scenario;
-use sphere_sim::{output, plot, report};
+use sphere_sim::{output, plants_command, plot, report};
 
-/// Spherical robots in virtual time: the deployed agents and station against simulated robots and a network that delays and loses.
+/// The fleet against simulated robots and a network that delays and loses: live, or in virtual time. Without a subcommand: the demo.
 #[derive(Parser)]
-#[command(name = "sphere-sim", version)]
+#[command(name = "sphere-sim", version, args_conflicts_with_subcommands = true)]
 struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
+    #[command(flatten)]
+    demo: DemoArgs,
 }
 
 #[derive(Subcommand)]
 enum Command {
+    /// The demo: three robots live, over real Zenoh and MAVLink, with delay and loss (no subcommand does the same)
+    Demo(DemoArgs),
     /// Run a scenario in virtual time
     Run(RunArgs),
+    /// Run plants in real time behind MAVLink over UDP, until Ctrl-C
+    Plants(PlantsArgs),
 }
 
 #[derive(Args)]
@@ -43,14 +52,70 @@ struct RunArgs {
     json: bool,
 }
 
+#[derive(Args)]
+struct PlantsArgs {
+    /// A scenario whose robots to run; its network, faults and missions are of no account here
+    #[arg(conflicts_with = "robots")]
+    scenario: Option<PathBuf>,
+    /// Without a scenario: how many robots, r1, r2, ..., 3 m apart along Y
+    #[arg(long, default_value_t = 1)]
+    robots: usize,
+    /// Seed of sensor noise, in place of the scenario's
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Port of the first robot's board; the next one's is two higher
+    #[arg(long, value_name = "BASE", default_value_t = Ports::DEFAULT.board)]
+    board_port: u16,
+    /// Port on which the first robot's agent is to listen; the next one's is two higher
+    #[arg(long, value_name = "BASE", default_value_t = Ports::DEFAULT.agent)]
+    agent_port: u16,
+    /// Send copies of every motor link's datagrams, both ways, to this UDP address; those of robot number i to its port + i
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    mirror: Option<SocketAddr>,
+}
+
+#[derive(Args)]
+struct DemoArgs {
+    /// How long the robots roll [s]
+    #[arg(long, value_name = "S", default_value_t = 60.0)]
+    duration: f64,
+    /// Seed of sensor noise, delays and losses
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Where to write scenario.toml, metrics.json, trace.csv and plots; files of the same names are replaced
+    #[arg(long, default_value = "out/demo")]
+    out: PathBuf,
+    /// Cut a robot's link for a while, as in --cut r2@30+6 (at 30 s, for 6 s); may be repeated
+    #[arg(long = "cut", value_name = "ROBOT@S+S")]
+    cuts: Vec<Cut>,
+    /// Send copies of every motor link's datagrams, both ways, to this UDP address; those of robot number i to its port + i
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    mirror: Option<SocketAddr>,
+    /// Print the metrics as JSON, and nothing else, on standard output
+    #[arg(long)]
+    json: bool,
+    /// Log what every part does to standard error; RUST_LOG chooses more finely
+    #[arg(short, long)]
+    verbose: bool,
+}
+
+/// The run is over: did everything hold that must?
+enum Outcome {
+    Held,
+    Broken,
+}
+
 fn main() -> ExitCode {
     let cli = Cli::parse();
     let result = match cli.command {
         Some(Command::Run(args)) => run_scenario(&args),
-        None => Ok(()),
+        Some(Command::Plants(args)) => run_plants(&args),
+        Some(Command::Demo(args)) => run_demo(&args),
+        None => run_demo(&cli.demo),
     };
     match result {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(Outcome::Held) => ExitCode::SUCCESS,
+        Ok(Outcome::Broken) => ExitCode::from(1),
         Err(error) => {
             eprintln!("sphere-sim: {error:#}");
             ExitCode::from(2)
@@ -58,11 +123,21 @@ fn main() -> ExitCode {
     }
 }
 
-fn run_scenario(args: &RunArgs) -> anyhow::Result<()> {
+fn run_scenario(args: &RunArgs) -> anyhow::Result<Outcome> {
     let mut sets = args.sets.clone();
     sets.extend(args.seed.map(|seed| format!("seed={seed}")));
     let scenario = output::read_scenario(&args.scenario, &sets)?;
-    let run = timed(&scenario)?;
+    let sets: String = args
+        .sets
+        .iter()
+        .map(|set| format!(" --set {set}"))
+        .collect();
+    let replay = format!(
+        "sphere-sim run {}{sets} --seed {}",
+        args.scenario.display(),
+        scenario.seed
+    );
+    let run = timed(&scenario, &replay)?;
     let name = args
         .scenario
         .file_stem()
@@ -81,16 +156,142 @@ fn run_scenario(args: &RunArgs) -> anyhow::Result<()> {
             report::summary(&run.metrics, folder.as_deref(), stdout.is_terminal())
         )?;
     }
-    Ok(())
+    let held = run.metrics.violations.is_empty();
+    Ok(if held { Outcome::Held } else { Outcome::Broken })
 }
+
+fn run_demo(args: &DemoArgs) -> anyhow::Result<Outcome> {
+    start_log(args.verbose);
+    let scenario = demo::scenario(args.seed, args.duration)?;
+    // Rather now than after a minute.
+    std::fs::create_dir_all(&args.out).with_context(|| {
+        let folder = args.out.display();
+        format!("cannot write {folder}; choose another folder with --out")
+    })?;
+    let options = demo::Options {
+        scenario,
+        cuts: args.cuts.clone(),
+        mirror: args.mirror,
+    };
+    let performance = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()?
+        .block_on(async {
+            let mut stop = terminations()?;
+            let mut display = demo::Display::new();
+            let performance =
+                demo::perform(options, &mut stop, |scene| display.show(scene)).await?;
+            anyhow::Ok(performance)
+        })?;
+    let demo::Performance { run, scenario, .. } = &performance;
+    write(&args.out, scenario, run, "demo")?;
+    let verdicts = demo::verdicts(&performance, &args.cuts);
+    let mut stdout = std::io::stdout().lock();
+    if args.json {
+        write!(stdout, "{}", run.metrics.json())?;
+    } else {
+        let folder = args.out.display().to_string();
+        let colour = stdout.is_terminal();
+        writeln!(stdout)?;
+        write!(
+            stdout,
+            "{}",
+            demo::summary(&performance, &verdicts, &folder, colour)
+        )?;
+    }
+    let all_good = verdicts.iter().all(|(id, verdict)| {
+        let was_cut = args.cuts.iter().any(|cut| cut.robot == *id);
+        verdict.is_good(performance.is_interrupted, was_cut)
+    });
+    let held = all_good && run.metrics.violations.is_empty();
+    Ok(if held { Outcome::Held } else { Outcome::Broken })
+}
+
+/// Logs to standard error: warnings alone are too much beside a table that is redrawn, so that errors only are shown unless asked.
+fn start_log(verbose: bool) {
+    use tracing_subscriber::EnvFilter;
+    let usual = if verbose {
+        "warn,sphere_agent=info,sphere_ground=info,sphere_sim=info"
+    } else {
+        "error"
+    };
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(usual));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .init();
+}
+
+fn run_plants(args: &PlantsArgs) -> anyhow::Result<Outcome> {
+    let sets: Vec<_> = args
+        .seed
+        .iter()
+        .map(|seed| format!("seed={seed}"))
+        .collect();
+    let scenario = match &args.scenario {
+        Some(path) => output::read_scenario(path, &sets)?,
+        None => plants_command::row_of_robots(args.robots, args.seed.unwrap_or(1))?,
+    };
+    let ports = Ports {
+        agent: args.agent_port,
+        board: args.board_port,
+    };
+    let served = plants_command::serve(&scenario, ports, args.mirror)?;
+    // Whoever starts this as a process waits for the table: it comes when the sockets are open.
+    print!("{}", served.table());
+    println!("Plants run; Ctrl-C ends.");
+    std::io::stdout().flush()?;
+    tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?
+        .block_on(async {
+            let mut check = tokio::time::interval(CHECK);
+            let mut terminate = terminations()?;
+            loop {
+                tokio::select! {
+                    _ = terminate.recv() => return Ok::<_, std::io::Error>(()),
+                    _ = check.tick() => if !served.plants.is_running() {
+                        return Ok(());
+                    }
+                }
+            }
+        })?;
+    let pace = served.plants.stop()?;
+    eprintln!("{}", plants_command::pace_sentence(pace));
+    Ok(Outcome::Held)
+}
+
+/// Ctrl-C and the polite kill, each time they come.
+fn terminations() -> std::io::Result<tokio::sync::mpsc::Receiver<()>> {
+    let (asked, terminations) = tokio::sync::mpsc::channel(2);
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        for kind in [SignalKind::interrupt(), SignalKind::terminate()] {
+            let (mut signal, asked) = (signal(kind)?, asked.clone());
+            tokio::spawn(async move {
+                while signal.recv().await.is_some() && asked.send(()).await.is_ok() {}
+            });
+        }
+    }
+    #[cfg(not(unix))]
+    tokio::spawn(async move {
+        while tokio::signal::ctrl_c().await.is_ok() && asked.send(()).await.is_ok() {}
+    });
+    Ok(terminations)
+}
+
+/// How often to see whether the plants still run.
+const CHECK: std::time::Duration = std::time::Duration::from_millis(500);
 
 #[allow(
     clippy::disallowed_methods,
     reason = "wall_s reports how long the run took; nothing depends on it"
 )]
-fn timed(scenario: &Scenario) -> anyhow::Result<Run> {
+fn timed(scenario: &Scenario, replay: &str) -> anyhow::Result<Run> {
     let begin = Instant::now();
-    Ok(run(scenario, || begin.elapsed().as_secs_f64())?)
+    Ok(run(scenario, replay, || begin.elapsed().as_secs_f64())?)
 }
 
 fn write(folder: &Path, scenario: &Scenario, run: &Run, name: &str) -> anyhow::Result<()> {

@@ -76,6 +76,41 @@ pub struct RunMetrics {
     pub violations: Vec<Violation>,
     /// Figures of each robot.
     pub robots: Vec<RobotMetrics>,
+    /// What only a run in real time has.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub live: Option<LiveMetrics>,
+}
+
+/// Figures of a run in real time: whether threads ran when they should, and what the links did.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LiveMetrics {
+    /// Where the station's router listened.
+    pub endpoint: String,
+    /// Steps of the plants that began more than 1 ms late and were made up for.
+    pub plant_steps_late: u64,
+    /// The latest beginning of a step of the plants [s].
+    pub plant_lateness_max_s: f64,
+    /// Figures of each robot.
+    pub robots: Vec<LiveRobotMetrics>,
+}
+
+/// Figures of one robot in real time.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LiveRobotMetrics {
+    /// Its id.
+    pub id: String,
+    /// Control steps.
+    pub control_steps: u32,
+    /// Median lateness of a control step [s].
+    pub control_lateness_p50_s: Option<f64>,
+    /// 99 % quantile of that lateness [s].
+    pub control_lateness_p99_s: Option<f64>,
+    /// The latest control step [s].
+    pub control_lateness_max_s: f64,
+    /// Segments that its link carried, both ways.
+    pub link_segments: u64,
+    /// Of these: lost at least once, and with that late.
+    pub link_stalls: u64,
 }
 
 /// An invariant that broke.
@@ -171,6 +206,7 @@ impl RunMetrics {
                     RobotMetrics::new(&trace.rows_of(record.robot), record, run.settle, separation)
                 })
                 .collect(),
+            live: None,
         }
     }
 

@@ -11,32 +11,7 @@ pub fn summary(metrics: &RunMetrics, plots: Option<&str>, colour: bool) -> Strin
     let mut text = String::new();
     let mut rows = vec![HEADER.map(str::to_owned)];
     rows.extend(metrics.robots.iter().map(line));
-    let width = |column: usize| {
-        rows.iter()
-            .map(|row| row[column].chars().count())
-            .max()
-            .unwrap_or(0)
-    };
-    let widths: Vec<_> = (0..HEADER.len()).map(width).collect();
-    for (index, row) in rows.iter().enumerate() {
-        let last = HEADER.len() - 1;
-        let cells: Vec<_> = row
-            .iter()
-            .enumerate()
-            .map(|(column, cell)| match column {
-                // Names and words to the left, figures to the right.
-                0 => format!("{cell:<width$}", width = widths[column]),
-                _ if column == last => cell.clone(),
-                _ => format!("{cell:>width$}", width = widths[column]),
-            })
-            .collect();
-        let line = cells.join("  ");
-        if index == 0 && colour {
-            writeln!(text, "{BOLD}{line}{RESET}").expect("text grows");
-        } else {
-            writeln!(text, "{line}").expect("text grows");
-        }
-    }
+    text.push_str(&table(&rows, colour));
     writeln!(text).expect("text grows");
     if let Some(folder) = plots {
         writeln!(text, "Plots, trace and metrics: {folder}").expect("text grows");
@@ -66,6 +41,38 @@ pub fn summary(metrics: &RunMetrics, plots: Option<&str>, colour: bool) -> Strin
         (true, _) => writeln!(text, "{RED}{sentence}{RESET}"),
     }
     .expect("text grows");
+    text
+}
+
+/// Lines of cells, the first line a header, as a table.
+pub(crate) fn table<const N: usize>(rows: &[[String; N]], colour: bool) -> String {
+    let mut text = String::new();
+    let width = |column: usize| {
+        rows.iter()
+            .map(|row| row[column].chars().count())
+            .max()
+            .unwrap_or(0)
+    };
+    let widths: Vec<_> = (0..N).map(width).collect();
+    for (index, row) in rows.iter().enumerate() {
+        let last = N - 1;
+        let cells: Vec<_> = row
+            .iter()
+            .enumerate()
+            .map(|(column, cell)| match column {
+                // Names and words to the left, figures to the right.
+                0 => format!("{cell:<width$}", width = widths[column]),
+                _ if column == last => cell.clone(),
+                _ => format!("{cell:>width$}", width = widths[column]),
+            })
+            .collect();
+        let line = cells.join("  ");
+        if index == 0 && colour {
+            writeln!(text, "{BOLD}{line}{RESET}").expect("text grows");
+        } else {
+            writeln!(text, "{line}").expect("text grows");
+        }
+    }
     text
 }
 
@@ -134,12 +141,12 @@ fn modes(robot: &RobotMetrics) -> String {
     modes.join(", ")
 }
 
-fn figure(value: Option<f64>, text: impl Fn(f64) -> String) -> String {
+pub(crate) fn figure(value: Option<f64>, text: impl Fn(f64) -> String) -> String {
     value.map_or_else(|| "-".to_owned(), text)
 }
 
 /// Metres as millimetres with as many digits as mean something.
-fn millimetres(metres: f64) -> String {
+pub(crate) fn millimetres(metres: f64) -> String {
     let mm = metres * 1e3;
     if mm < 100.0 {
         format!("{mm:.1}")
@@ -148,7 +155,7 @@ fn millimetres(metres: f64) -> String {
     }
 }
 
-fn milliseconds(seconds: f64) -> String {
+pub(crate) fn milliseconds(seconds: f64) -> String {
     format!("{:.0}", seconds * 1e3)
 }
 
@@ -169,7 +176,7 @@ const HEADER: [&str; 9] = [
 ];
 /// Violations shown one by one.
 const SHOWN: usize = 5;
-const BOLD: &str = "\x1b[1m";
-const GREEN: &str = "\x1b[32m";
-const RED: &str = "\x1b[31m";
-const RESET: &str = "\x1b[0m";
+pub(crate) const BOLD: &str = "\x1b[1m";
+pub(crate) const GREEN: &str = "\x1b[32m";
+pub(crate) const RED: &str = "\x1b[31m";
+pub(crate) const RESET: &str = "\x1b[0m";

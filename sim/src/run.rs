@@ -1,8 +1,12 @@
 //! One run from a scenario to its results.
 
+use std::collections::BTreeMap;
+
 use sphere_agent::gains::GainsError;
+use sphere_protocol::robot::RobotId;
 use sphere_protocol::time::Span;
 
+use crate::check::{self, Bounds};
 use crate::metrics::{RunMetrics, RunRecord};
 use crate::plot::Subject;
 use crate::scenario::Scenario;
@@ -21,11 +25,16 @@ pub struct Run {
     pub mission_starts: Vec<Option<Span>>,
 }
 
-/// Runs `scenario` to its end in virtual time. `elapsed` tells the wall time since the call, for the figure `wall_s` alone.
+/// Runs `scenario` to its end in virtual time and checks its invariants. `replay` is the command that runs it again, for messages;
+/// `elapsed` tells the wall time since the call, for the figure `wall_s` alone.
 ///
 /// # Errors
 /// A robot whose gains cannot be stable.
-pub fn run(scenario: &Scenario, elapsed: impl FnOnce() -> f64) -> Result<Run, GainsError> {
+pub fn run(
+    scenario: &Scenario,
+    replay: &str,
+    elapsed: impl FnOnce() -> f64,
+) -> Result<Run, GainsError> {
     let mut world = World::new(scenario)?;
     world.run_until(scenario.duration());
     let records = world.records();
@@ -34,7 +43,7 @@ pub fn run(scenario: &Scenario, elapsed: impl FnOnce() -> f64) -> Result<Run, Ga
         duration: scenario.duration(),
         wall_s: elapsed(),
         settle: Span::from_secs_f64(scenario.metrics.settle_s),
-        violations: Vec::new(),
+        violations: check::violations(world.trace(), &bounds(scenario), replay),
     };
     let metrics = RunMetrics::new(world.trace(), record, &records);
     let mission_starts = records.iter().map(|record| record.mission_start).collect();
@@ -63,4 +72,27 @@ impl Run {
             })
             .collect()
     }
+}
+
+/// What each robot of `scenario` must keep to.
+pub(crate) fn bounds(scenario: &Scenario) -> BTreeMap<RobotId, Bounds> {
+    let of = |setup: &crate::scenario::RobotSetup| Bounds {
+        // The agent believes in its own limit, the motors have theirs.
+        torque_max: setup
+            .plant
+            .torque_max
+            .max(setup.model.robot.params.torque_max),
+        v_max: setup
+            .model
+            .robot
+            .limits
+            .v_max
+            .max(-setup.model.robot.limits.v_min),
+        plan_age_max: scenario.planner.max_age,
+    };
+    scenario
+        .robots
+        .iter()
+        .map(|setup| (setup.id, of(setup)))
+        .collect()
 }

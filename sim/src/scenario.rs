@@ -17,14 +17,11 @@
 //! # Ok::<(), sphere_sim::scenario::ScenarioError>(())
 //! ```
 
-mod document;
 mod drawn;
-mod error;
 mod names;
 mod not_yet;
 mod read;
 mod robots;
-mod table;
 
 use std::collections::BTreeMap;
 
@@ -33,8 +30,8 @@ use sphere_ground::trajectory::Mission;
 use sphere_protocol::robot::{Robot, RobotId, RobotParams};
 use sphere_protocol::time::Span;
 
-pub use error::{Place, Problem, ScenarioError};
 pub use names::{Environment, FaultKind, RollController};
+pub use sphere_protocol::document::error::{DocumentError as ScenarioError, Place, Problem};
 
 /// One run: the world, the network, the station's settings and the robots with their missions.
 #[derive(Clone, Debug, PartialEq)]
@@ -239,12 +236,7 @@ impl Scenario {
         sets: &[String],
         load: impl FnMut(&str) -> Result<String, String>,
     ) -> Result<Self, ScenarioError> {
-        read::scenario(text, sets, load).map_err(|refusal| ScenarioError {
-            file: file.to_owned(),
-            place: refusal.place,
-            key: refusal.key,
-            problem: refusal.problem,
-        })
+        read::scenario(text, sets, load).map_err(|refusal| refusal.in_file(file))
     }
 
     /// This scenario as TOML, every default written out: [`Scenario::parse`] reads it back equal, given [`Scenario::robot_files`].
@@ -293,6 +285,11 @@ impl Default for Link {
 }
 
 impl Sensing {
+    /// Time between two position fixes; `None` without any.
+    pub fn fix_period(&self) -> Option<Span> {
+        (self.position_fix_hz > 0.0).then(|| Span::from_secs_f64(1.0 / self.position_fix_hz))
+    }
+
     /// Standard deviation of each axis of a position fix, with `noise` applied [m].
     pub fn position_fix_sigma(&self) -> f64 {
         self.noise * self.position_fix_noise_m

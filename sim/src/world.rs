@@ -24,7 +24,7 @@ use sphere_protocol::message::PlanId;
 use sphere_protocol::robot::RobotId;
 use sphere_protocol::time::{AgentClock, GroundClock, Instant, Span};
 
-use crate::body::{Body, BodyRandom, BodySetup, Purpose, stream};
+use crate::body::{BOARD_HEARTBEAT, Body, BodyRandom, BodySetup, Purpose, stream};
 use crate::disturbance::{Disturbance, Push};
 use crate::metrics::{RobotRecord, SolverCounts};
 use crate::network::{Link, LinkModel};
@@ -46,6 +46,19 @@ pub struct World {
     caused: u64,
     trace: Trace,
     reports: Vec<Report>,
+    tamper: Option<Tamper>,
+}
+
+/// Alters the frames of motor links in a test, or suppresses them by leaving nothing: whose, which way, the bytes.
+pub type Tamper = Box<dyn FnMut(Span, usize, MotorWay, &mut Vec<u8>)>;
+
+/// A direction on a motor link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MotorWay {
+    /// From the board.
+    ToAgent,
+    /// From the agent.
+    ToBoard,
 }
 
 /// Something an agent or the station reported.
@@ -132,7 +145,6 @@ const MOTOR_LINK: Span = Span::from_millis(1);
 const CONTROL_TIME: Span = Span::from_nanos(500_000);
 /// A plan takes some 20 µs; this leaves room for a station that plans for many.
 const PLANNING_TIME: Span = Span::from_millis(2);
-const BOARD_HEARTBEAT: Span = Span::from_millis(1000);
 /// Origins of the clocks that nobody asked for are drawn up to this far apart [s].
 const CLOCK_SPREAD: f64 = 1000.0;
 
@@ -152,23 +164,7 @@ impl World {
             .enumerate()
             .map(|(index, setup)| SimRobot::new(scenario, index, setup))
             .collect::<Result<Vec<_>, _>>()?;
-        let config = StationConfig {
-            station: station_id,
-            planner: scenario.planner,
-            robots: scenario
-                .robots
-                .iter()
-                .map(|setup| RobotConfig {
-                    id: setup.id,
-                    robot: setup.model.robot.clone(),
-                    mission: match &setup.mission {
-                        MissionSetup::Path(mission) => mission.clone(),
-                        MissionSetup::Roll { .. } => Mission::Hold,
-                    },
-                    start: StartCondition::Ready,
-                })
-                .collect(),
-        };
+        let config = station_config(scenario, station_id);
         let station = Station::new(config, Instant::from_nanos(0) + station_clock);
         let mut world = Self {
             robots,
@@ -179,6 +175,7 @@ impl World {
             caused: 0,
             trace: Trace::new(),
             reports: Vec::new(),
+            tamper: None,
         };
         for robot in 0..world.robots.len() {
             world.schedule(Span::ZERO, Happening::Sense { robot });
@@ -232,6 +229,21 @@ impl World {
                 Inject::Board(robot) => Happening::FrameToBoard { robot, bytes },
             },
         );
+    }
+
+    /// From now on every frame of a motor link passes through `tamper` first: what a broken link does, or a wrong unit on a board.
+    pub fn tamper_with_motor_links(&mut self, tamper: Tamper) {
+        self.tamper = Some(tamper);
+    }
+
+    /// A robot's agent, by its place in the scenario.
+    pub fn agent(&self, robot: usize) -> &Agent {
+        &self.robots[robot].agent
+    }
+
+    /// The station.
+    pub fn station(&self) -> &Station {
+        &self.station
     }
 
     fn happen(&mut self, now: WorldTime, what: Happening) {
@@ -316,14 +328,17 @@ impl World {
     }
 
     fn frame_to_agent(&mut self, now: WorldTime, robot: usize, frame: &[u8]) {
-        self.trace.absorb("motor", frame);
-        self.schedule(
-            now + MOTOR_LINK,
-            Happening::FrameToAgent {
-                robot,
-                bytes: frame.to_vec(),
-            },
-        );
+        let bytes = self.tampered(now, robot, MotorWay::ToAgent, frame);
+        self.trace.absorb("motor", &bytes);
+        self.schedule(now + MOTOR_LINK, Happening::FrameToAgent { robot, bytes });
+    }
+
+    fn tampered(&mut self, now: WorldTime, robot: usize, way: MotorWay, frame: &[u8]) -> Vec<u8> {
+        let mut bytes = frame.to_vec();
+        if let Some(tamper) = &mut self.tamper {
+            tamper(now, robot, way, &mut bytes);
+        }
+        bytes
     }
 
     fn agent_input(&mut self, now: WorldTime, robot: usize, input: AgentInput<'_>) {
@@ -333,15 +348,10 @@ impl World {
         while let Some(output) = self.robots[robot].agent.poll_output() {
             match output {
                 AgentOutput::Motor(frame) => {
-                    self.trace.absorb("motor", &frame);
+                    let bytes = self.tampered(now, robot, MotorWay::ToBoard, &frame);
+                    self.trace.absorb("motor", &bytes);
                     let arrival = now + CONTROL_TIME + MOTOR_LINK;
-                    self.schedule(
-                        arrival,
-                        Happening::FrameToBoard {
-                            robot,
-                            bytes: frame.to_vec(),
-                        },
-                    );
+                    self.schedule(arrival, Happening::FrameToBoard { robot, bytes });
                 }
                 AgentOutput::Publish {
                     direction,
@@ -507,46 +517,13 @@ impl World {
 
 impl SimRobot {
     fn new(scenario: &Scenario, index: usize, setup: &RobotSetup) -> Result<Self, GainsError> {
-        let mut random = stream(scenario.seed, index, Purpose::Clocks);
-        let mut draw = || -> f64 { StandardUniform.sample(&mut random) };
-        let boot_id = 1 + (draw() * 9e15) as u64;
-        let board_clock = Span::from_secs_f64(draw() * CLOCK_SPREAD);
-        let [x, y, heading] = [setup.start.x_m, setup.start.y_m, setup.start.heading()];
-        let sensing = &scenario.sensing;
+        let (boot_id, board_clock) = drawn_clocks(scenario.seed, index);
         let body = Body::new(
-            BodySetup {
-                params: setup.plant,
-                start: [x, y, heading],
-                disturbance: disturbance(&setup.disturbance),
-                noise: sensing.noise,
-                fix_sigma: sensing.position_fix_sigma(),
-                clock_offset: board_clock,
-            },
+            body_setup(scenario, setup, board_clock),
             BodyRandom::new(scenario.seed, index),
         );
         let clock = Span::from_secs_f64(setup.clock_offset_s);
-        let config = AgentConfig {
-            id: setup.id,
-            robot: setup.model.robot.clone(),
-            boot_id,
-            estimator: EstimatorConfig {
-                start: StartPose {
-                    x,
-                    y,
-                    heading,
-                    ..StartPose::default()
-                },
-                ..Default::default()
-            },
-            direction: match setup.roll_controller {
-                RollController::Htsmc => DirectionChoice::Htsmc,
-                // The scenario format has them, the simulator refuses them with "not yet".
-                RollController::HtsmcPaper
-                | RollController::FuzzyPid
-                | RollController::FuzzyPidSingle => DirectionChoice::Htsmc,
-            },
-            timing: Timing::default(),
-        };
+        let config = agent_config(setup, boot_id);
         let link = |model: &scenario::Link, purpose| {
             let loss = match model.loss {
                 Loss::Independent(loss) => loss,
@@ -567,13 +544,80 @@ impl SimRobot {
             agent_due: Span::ZERO,
             up: link(&scenario.network.up, Purpose::LinkUp),
             down: link(&scenario.network.down, Purpose::LinkDown),
-            fix_period: (sensing.position_fix_hz > 0.0)
-                .then(|| Span::from_secs_f64(1.0 / sensing.position_fix_hz)),
+            fix_period: scenario.sensing.fix_period(),
             mission_started: None,
             newest_plan: None,
             loop_delays: Vec::new(),
         })
     }
+}
+
+/// The station of `scenario`, under the identity `station`.
+pub(crate) fn station_config(scenario: &Scenario, station: u64) -> StationConfig {
+    StationConfig {
+        station,
+        planner: scenario.planner,
+        robots: scenario
+            .robots
+            .iter()
+            .map(|setup| RobotConfig {
+                id: setup.id,
+                robot: setup.model.robot.clone(),
+                mission: match &setup.mission {
+                    MissionSetup::Path(mission) => mission.clone(),
+                    MissionSetup::Roll { .. } => Mission::Hold,
+                },
+                start: StartCondition::Ready,
+            })
+            .collect(),
+    }
+}
+
+/// The agent of one robot of a scenario, in its life `boot_id`.
+pub(crate) fn agent_config(setup: &RobotSetup, boot_id: u64) -> AgentConfig {
+    AgentConfig {
+        id: setup.id,
+        robot: setup.model.robot.clone(),
+        boot_id,
+        estimator: EstimatorConfig {
+            start: StartPose {
+                x: setup.start.x_m,
+                y: setup.start.y_m,
+                heading: setup.start.heading(),
+                ..StartPose::default()
+            },
+            ..Default::default()
+        },
+        direction: match setup.roll_controller {
+            RollController::Htsmc => DirectionChoice::Htsmc,
+            // The scenario format has them, the simulator refuses them with "not yet".
+            RollController::HtsmcPaper
+            | RollController::FuzzyPid
+            | RollController::FuzzyPidSingle => DirectionChoice::Htsmc,
+        },
+        timing: Timing::default(),
+    }
+}
+
+/// The body of one robot of `scenario`, whose board's clock shows `clock_offset` at time zero.
+pub(crate) fn body_setup(scenario: &Scenario, setup: &RobotSetup, clock_offset: Span) -> BodySetup {
+    let sensing = &scenario.sensing;
+    BodySetup {
+        params: setup.plant,
+        start: [setup.start.x_m, setup.start.y_m, setup.start.heading()],
+        disturbance: disturbance(&setup.disturbance),
+        noise: sensing.noise,
+        fix_sigma: sensing.position_fix_sigma(),
+        clock_offset,
+    }
+}
+
+/// Boot id of the agent and origin of the board's clock of robot number `robot` under `seed`.
+pub(crate) fn drawn_clocks(seed: u64, robot: usize) -> (u64, Span) {
+    let mut random = stream(seed, robot, Purpose::Clocks);
+    let mut draw = || -> f64 { StandardUniform.sample(&mut random) };
+    let boot_id = 1 + (draw() * 9e15) as u64;
+    (boot_id, Span::from_secs_f64(draw() * CLOCK_SPREAD))
 }
 
 fn disturbance(setup: &scenario::Disturbance) -> Disturbance {

@@ -23,6 +23,8 @@ pub(super) struct Lease {
     /// Not before this: the last claim or arm was refused.
     retry_at: Option<Instant<GroundClock>>,
     newest_number: u32,
+    /// Whether claims have been refused since the lease was last held.
+    is_refused: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,6 +58,7 @@ impl Lease {
             wants_armed: true,
             retry_at: None,
             newest_number: 0,
+            is_refused: false,
         }
     }
 
@@ -206,13 +209,17 @@ impl Lease {
                 self.holder = Holder::Us {
                     epoch: telemetry.epoch,
                 };
+                self.is_refused = false;
                 out.push(Request::Event(Event::LeaseGranted {
                     epoch: telemetry.epoch,
                 }));
             }
             CommandOrder::Claim => {
-                self.retry_at = Some(now + RETRY);
-                out.push(Request::Event(Event::Refused(command.order)));
+                self.retry_at = Some(now + CLAIM_RETRY);
+                // Told once, not with every attempt.
+                if !core::mem::replace(&mut self.is_refused, true) {
+                    out.push(Request::Event(Event::Refused(command.order)));
+                }
             }
             CommandOrder::Arm if telemetry.mode == Mode::Ready => {
                 self.retry_at = Some(now + RETRY);
@@ -226,7 +233,9 @@ impl Lease {
 
 /// A command without an answer is sent again after this: longer than most loops, and a repeated one is ignored anyway.
 const REPEAT: Span = Span::from_millis(200);
-/// A refused claim or arm is tried again after this.
+/// A refused claim is tried again after this: the lease of a station that has died runs out soon, and its last plan soon after.
+const CLAIM_RETRY: Span = Span::from_millis(200);
+/// A refused arm is tried again after this.
 const RETRY: Span = Span::from_millis(1000);
 /// Operator's orders that wait.
 const ORDERS_MAX: usize = 8;

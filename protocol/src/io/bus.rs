@@ -20,6 +20,7 @@ use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::sample::{Locality, SampleKind};
 
+use crate::document::shared::Endpoints;
 use crate::message::Qos;
 
 /// How a session takes part in the network.
@@ -285,6 +286,15 @@ impl Role {
                 })?;
         }
         Ok(config)
+    }
+}
+
+impl From<Endpoints> for Role {
+    fn from(endpoints: Endpoints) -> Self {
+        match endpoints {
+            Endpoints::Listen(listen) => Self::Router { listen },
+            Endpoints::Connect(connect) => Self::Client { connect },
+        }
     }
 }
 

@@ -56,9 +56,10 @@ impl UdpLink {
     /// # Errors
     /// The peer's address is impossible.
     pub fn pinned(socket: UdpSocket, peer: SocketAddr) -> Result<Self, LinkError> {
-        socket
-            .connect(peer)
-            .map_err(|error| LinkError::Peer { peer, error })?;
+        let failed = |error| LinkError::Peer { peer, error };
+        socket.connect(peer).map_err(failed)?;
+        // Waiting is `wait`'s: a socket's own time limit is rounded up to the kernel's tick, 4 ms on many.
+        socket.set_nonblocking(true).map_err(failed)?;
         Ok(Self { socket })
     }
 
@@ -71,9 +72,13 @@ impl UdpLink {
         buffer: &'b mut [u8],
         timeout: Duration,
     ) -> io::Result<Option<&'b [u8]>> {
-        // A zero timeout would mean "for ever".
-        self.socket
-            .set_read_timeout(Some(timeout.max(Duration::from_micros(1))))?;
+        match self.socket.recv(buffer) {
+            Ok(length) => return Ok(Some(&buffer[..length])),
+            Err(error) if !is_passing(&error) => return Err(error),
+            Err(_) if timeout.is_zero() => return Ok(None),
+            Err(_) => {}
+        }
+        wait(&self.socket, timeout)?;
         match self.socket.recv(buffer) {
             Ok(length) => Ok(Some(&buffer[..length])),
             Err(error) if is_passing(&error) => Ok(None),
@@ -101,6 +106,39 @@ impl UdpLink {
         self.socket.local_addr()
     }
 }
+
+/// Waits until there is a datagram, for at most `timeout`, to the precision of the kernel's timers; a signal may end it early.
+#[cfg(unix)]
+fn wait(socket: &UdpSocket, timeout: Duration) -> io::Result<()> {
+    use rustix::event::{PollFd, PollFlags, Timespec, poll};
+    use rustix::io::Errno;
+    // What is too long for the kernel is a mere loop of the caller's more.
+    let limit = Timespec::try_from(timeout.min(WAIT_MAX)).ok();
+    match poll(&mut [PollFd::new(socket, PollFlags::IN)], limit.as_ref()) {
+        Ok(_) | Err(Errno::INTR) => Ok(()),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// Looks again and again: precise to half a millisecond.
+#[cfg(not(unix))]
+fn wait(socket: &UdpSocket, timeout: Duration) -> io::Result<()> {
+    const LOOK: Duration = Duration::from_micros(500);
+    let mut left = timeout.min(WAIT_MAX);
+    while !left.is_zero() {
+        match socket.peek(&mut [0]) {
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+            _ => return Ok(()),
+        }
+        let pause = left.min(LOOK);
+        #[allow(clippy::disallowed_methods, reason = "a shell's thread waits here")]
+        std::thread::sleep(pause);
+        left -= pause;
+    }
+    Ok(())
+}
+
+const WAIT_MAX: Duration = Duration::from_secs(3600);
 
 /// Nothing there now: no datagram in time, a full queue, or a peer whose port is closed (the ICMP answer to an earlier datagram).
 fn is_passing(error: &io::Error) -> bool {

@@ -2,10 +2,10 @@
 
 use core::fmt::Write;
 
-use super::document::{number, quoted};
-use super::table::Named;
 use super::{Disturbance, Fault, Link, Loss, MissionSetup, Partition, RobotSetup, Scenario};
 use sphere_ground::trajectory::Mission;
+use sphere_protocol::document::node::{number, quoted};
+use sphere_protocol::document::table::Named;
 use sphere_protocol::robot::RobotId;
 
 /// Keys with their values, in the order in which they are written.

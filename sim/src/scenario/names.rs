@@ -1,9 +1,6 @@
 //! The choices that a scenario makes by name.
 
-use sphere_ground::mpc::Solver;
-use sphere_ground::settings::{Compensation, PlannerMode, Preset};
-
-use super::table::Named;
+use sphere_protocol::document::table::Named;
 
 /// Declares an enum together with the name of each value in the file.
 macro_rules! named {
@@ -61,32 +58,4 @@ named! {
         /// Planning takes far longer than its period.
         SlowPlanner = "slow-planner",
     }
-}
-
-impl Named for Preset {
-    const WHAT: &'static str = "planner preset";
-    const NAMES: &'static [(&'static str, Self)] = &[("ours", Self::Ours), ("paper", Self::Paper)];
-}
-
-impl Named for PlannerMode {
-    const WHAT: &'static str = "planner mode";
-    const NAMES: &'static [(&'static str, Self)] = &[("lag", Self::Lag), ("paper", Self::Paper)];
-}
-
-impl Named for Compensation {
-    const WHAT: &'static str = "compensation";
-    const NAMES: &'static [(&'static str, Self)] = &[
-        ("full", Self::Full),
-        ("no-gains", Self::NoGains),
-        ("naive", Self::Naive),
-    ];
-}
-
-impl Named for Solver {
-    const WHAT: &'static str = "solver";
-    const NAMES: &'static [(&'static str, Self)] = &[
-        ("auto", Self::Auto),
-        ("riccati", Self::Riccati),
-        ("clarabel", Self::Clarabel),
-    ];
 }

@@ -2,8 +2,8 @@
 //! removes its row.
 
 use super::QUEUE_MS;
-use super::document::{Node, Value, join};
-use super::error::{Problem, Read, Refusal};
+use sphere_protocol::document::error::{Problem, Read, Refusal};
+use sphere_protocol::document::node::{Node, Value, join};
 
 /// A key, by its path with `*` for every index, and the only value of it that the simulator can do.
 struct Row {

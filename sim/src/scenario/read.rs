@@ -1,16 +1,16 @@
 //! From a document to a [`Scenario`]: every table with its keys, defaults and ranges.
 
-use sphere_ground::settings::{PlannerSettings, Preset};
-use sphere_protocol::message::KNOTS_MAX;
+use sphere_ground::config_file::planner;
 use sphere_protocol::robot::RobotId;
-use sphere_protocol::time::Span;
 
-use super::document::{Node, Value};
-use super::error::{Place, Read};
-use super::table::{Range, Table, refused, text_of, unknown_name};
 use super::{
     Environment, Fault, FaultKind, Link, Loss, MetricsSetup, Network, Partition, Scenario, Sensing,
     not_yet, robots,
+};
+use sphere_protocol::document::error::Read;
+use sphere_protocol::document::node::Node;
+use sphere_protocol::document::table::{
+    Range, Table, empty, refused, section, text_of, unknown_name,
 };
 
 /// Longest time in a scenario [s]: ten years of nanoseconds still leave room in an instant.
@@ -206,52 +206,6 @@ fn metrics(top: &Table<'_>) -> Read<MetricsSetup> {
     Ok(MetricsSetup {
         settle_s: table.number_or("settle_s", TIME, 10.0)?,
     })
-}
-
-fn planner(top: &Table<'_>) -> Read<PlannerSettings> {
-    let empty = empty();
-    let keys = [
-        "preset",
-        "mode",
-        "horizon",
-        "max_age_s",
-        "compensation",
-        "solver",
-    ];
-    let table = section(top, "planner", &keys, &empty)?;
-    let preset = PlannerSettings::of(table.named_or("preset", Preset::Ours)?);
-    let longest = i64::try_from(KNOTS_MAX).expect("a plan has few knots");
-    let horizon = table.integer("horizon", 1, longest)?;
-    let max_age = table.number("max_age_s", Range::positive(3600.0))?;
-    Ok(PlannerSettings {
-        preset: preset.preset,
-        mode: table.named_or("mode", preset.mode)?,
-        horizon: horizon.map_or(preset.horizon, |knots| {
-            usize::try_from(knots).expect("checked to lie in 1..=KNOTS_MAX")
-        }),
-        max_age: max_age.map_or(preset.max_age, Span::from_secs_f64),
-        compensation: table.named_or("compensation", preset.compensation)?,
-        solver: table.named_or("solver", preset.solver)?,
-    })
-}
-
-/// The table `key` of `top`, or `empty` in its place.
-pub(super) fn section<'a>(
-    top: &Table<'a>,
-    key: &str,
-    known: &[&'static str],
-    empty: &'a Node,
-) -> Read<Table<'a>> {
-    let (node, path) = top.node(key).unwrap_or((empty, top.path_of(key)));
-    Table::open(node, &path, known)
-}
-
-/// A table without entries, for a section that the file leaves out.
-pub(super) fn empty() -> Node {
-    Node {
-        value: Value::Table(Default::default()),
-        place: Place::File,
-    }
 }
 
 const LINK_KEYS: &[&str] = &[

@@ -3,22 +3,23 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use sphere_ground::trajectory::{Mission, Pose, Trajectory};
+use sphere_ground::config_file;
 use sphere_protocol::robot::{Robot, RobotId, RobotParams};
 
-use super::document::{Node, Value, join, quoted};
-use super::error::Read;
-use super::read::{LENGTH_OF_TIME, TIME, empty, section};
-use super::table::{Range, Table, list_of, number_of, refused, text_of, unknown_name};
+use super::read::{LENGTH_OF_TIME, TIME};
 use super::{
     Disturbance, Environment, MissionSetup, Push, RobotModel, RobotSetup, RollController, Start,
+};
+use sphere_protocol::document::error::Read;
+use sphere_protocol::document::node::{Node, Value, join};
+use sphere_protocol::document::table::{
+    Range, Table, empty, number_of, refused, section, text_of, unknown_name,
 };
 
 /// World coordinates [m]: farther out a nanometre no longer fits an f64.
 const POSITION: Range = Range::within(-1e6, 1e6);
 /// Torques from outside [N·m].
 const TORQUE: Range = Range::within(-1e4, 1e4);
-const SPEED_EXAMPLE: &str = "speed_mps = 0.5";
 
 /// Reads every robot.
 pub(super) fn all(
@@ -213,92 +214,17 @@ fn disturbance(table: &Table<'_>, environment: Environment) -> Read<Disturbance>
 }
 
 fn mission(table: &Table<'_>, robot: &Robot) -> Read<MissionSetup> {
-    let Some((node, path)) = table.node("mission") else {
-        return Ok(MissionSetup::Path(Mission::Hold));
-    };
-    if let Value::Text(kind) = &node.value {
-        let why = format!("it must be a table: write {{ kind = {} }}", quoted(kind));
-        return Err(refused(node, &path, why));
+    if let Some(mission) = config_file::mission(table, robot, &[ROLL])? {
+        return Ok(MissionSetup::Path(mission));
     }
-    let all: Vec<_> = MISSIONS
-        .iter()
-        .flat_map(|(_, keys)| *keys)
-        .chain(&["kind"])
-        .copied()
-        .collect();
-    let any = Table::open(node, &path, &all)?;
-    let kind = any
-        .text("kind")?
-        .ok_or_else(|| any.missing("kind", "kind = \"lemniscate\""))?;
-    let Some((_, keys)) = MISSIONS.iter().find(|(name, _)| *name == kind) else {
-        let (node, path) = any.node("kind").expect("it was read");
-        let known = MISSIONS.iter().map(|(name, _)| *name);
-        return Err(unknown_name(node, &path, "mission", known));
-    };
-    for key in all
-        .iter()
-        .filter(|key| **key != "kind" && !keys.contains(key))
-    {
-        if let Some((node, path)) = any.node(key) {
-            let takes = if keys.is_empty() {
-                "nothing else".to_owned()
-            } else {
-                keys.join(", ")
-            };
-            let why = format!("a mission of kind {} takes {takes}", quoted(kind));
-            return Err(refused(node, &path, why));
-        }
-    }
-    let v_max = robot.limits.v_max;
-    let speed = || any.required_number("speed_mps", Range::positive(v_max), SPEED_EXAMPLE);
-    let mission = match kind {
-        "roll" => {
-            return Ok(MissionSetup::Roll {
-                speed_mps: any.required_number(
-                    "speed_mps",
-                    Range::within(0.0, v_max),
-                    SPEED_EXAMPLE,
-                )?,
-                angles_deg: angles(&any, robot.limits.q_r_max.to_degrees())?,
-                hold_s: any.number_or("hold_s", LENGTH_OF_TIME, 10.0)?,
-            });
-        }
-        "line" => Mission::Line,
-        "sine" => Mission::Sine,
-        "lemniscate" => Mission::Lemniscate,
-        "circle" => Mission::Circle {
-            radius_m: any.required_number("radius_m", Range::positive(1e6), "radius_m = 3.0")?,
-            speed_mps: speed()?,
-        },
-        "waypoints" => Mission::Waypoints {
-            points_m: points(&any)?,
-            speed_mps: speed()?,
-        },
-        _ => Mission::Hold,
-    };
-    // What only the whole path shows: too tight a turn, points too close to each other.
-    mission
-        .validated()
-        .and_then(|mission| Trajectory::new(&mission, robot, Pose::default()).map(|_| mission))
-        .map(MissionSetup::Path)
-        .map_err(|error| refused(node, &path, error.to_string()))
-}
-
-fn points(mission: &Table<'_>) -> Read<Vec<[f64; 2]>> {
-    let mut points = Vec::new();
-    for (node, path) in mission.list("points_m")? {
-        let [(x, x_path), (y, y_path)] = list_of(node, &path)?
-            .try_into()
-            .map_err(|_| refused(node, &path, "a point is [x, y] in metres".to_owned()))?;
-        points.push([
-            number_of(x, &x_path, POSITION)?,
-            number_of(y, &y_path, POSITION)?,
-        ]);
-    }
-    if points.is_empty() {
-        return Err(mission.missing("points_m", "points_m = [[2.0, 0.0], [2.0, 3.0]]"));
-    }
-    Ok(points)
+    let (node, path) = table.node("mission").expect("it has a kind");
+    let roll = Table::open(node, &path, &["kind", "speed_mps", "angles_deg", "hold_s"])?;
+    let speed = Range::within(0.0, robot.limits.v_max);
+    Ok(MissionSetup::Roll {
+        speed_mps: roll.required_number("speed_mps", speed, "speed_mps = 0.5")?,
+        angles_deg: angles(&roll, robot.limits.q_r_max.to_degrees())?,
+        hold_s: roll.number_or("hold_s", LENGTH_OF_TIME, 10.0)?,
+    })
 }
 
 fn angles(mission: &Table<'_>, q_r_max_deg: f64) -> Read<Vec<f64>> {
@@ -313,16 +239,8 @@ fn angles(mission: &Table<'_>, q_r_max_deg: f64) -> Read<Vec<f64>> {
     Ok(angles)
 }
 
-/// Every kind of mission with the keys it takes.
-const MISSIONS: &[(&str, &[&str])] = &[
-    ("hold", &[]),
-    ("line", &[]),
-    ("sine", &[]),
-    ("lemniscate", &[]),
-    ("circle", &["radius_m", "speed_mps"]),
-    ("waypoints", &["points_m", "speed_mps"]),
-    ("roll", &["speed_mps", "angles_deg", "hold_s"]),
-];
+/// The mission that a station does not have: a direction experiment.
+const ROLL: config_file::Kind = ("roll", &["speed_mps", "angles_deg", "hold_s"]);
 
 const KEYS: &[&str] = &[
     "id",

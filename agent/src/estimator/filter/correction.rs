@@ -1,6 +1,6 @@
 //! Fuses scalar measurements one after the other, behind gates.
 
-use super::{ALPHA_RATE, Covariance, Filter, PIVOT, PIVOT_LINGERS, Q_R_RATE, SHELL, State};
+use super::{ALPHA_RATE, Covariance, Filter, PIVOT, PIVOT_LINGERS, Q_R_RATE, SHELL, State, V};
 
 /// Scalar measurements whose innovation is gated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,6 +68,11 @@ impl<'a> Correction<'a> {
             }
             let opened = channel.opened_state();
             self.filter.p[(opened, opened)] += innovation * innovation;
+            *streak = streak.saturating_add(1);
+            if channel == Channel::Encoder && *streak >= SPEED_DOUBTED {
+                self.filter.p[(V, V)] += SPEED_DOUBT * SPEED_DOUBT;
+                *streak = STREAK_MAX;
+            }
             p_h = times(&self.filter.p, h);
             s = dot(h, &p_h) + variance;
         }
@@ -131,3 +136,8 @@ pub(super) fn dot(h: &[(usize, f64)], x: &State) -> f64 {
 
 /// Frames that a gate refuses in a row before the channel is believed.
 const STREAK_MAX: u8 = 3;
+/// Frames in a row in which the encoder contradicts the speed before the speed is doubted: half a second. By then a dead encoder
+/// has long been reported as unhealthy; what is left is a speed that went wrong while frames were missing.
+const SPEED_DOUBTED: u8 = 100;
+/// How much it is doubted then [m/s].
+const SPEED_DOUBT: f64 = 2.0;

@@ -2,33 +2,45 @@
 
 use std::collections::BTreeMap;
 
-use sphere_protocol::quantity::line_of;
+use crate::quantity::line_of;
 use toml::de::{DeTable, DeValue};
 
 use super::error::{Place, Problem, Read, Refusal};
 
 /// A value and where it was written.
 #[derive(Clone, Debug)]
-pub(super) struct Node {
-    pub(super) value: Value,
-    pub(super) place: Place,
+pub struct Node {
+    /// The value.
+    pub value: Value,
+    /// Where it was written.
+    pub place: Place,
 }
 
 /// A TOML value.
 #[derive(Clone, Debug)]
-pub(super) enum Value {
+pub enum Value {
+    /// A string.
     Text(String),
+    /// A whole number.
     Integer(i64),
+    /// A number with a point; may be infinite or no number.
     Float(f64),
+    /// true or false.
     Boolean(bool),
+    /// A date or time, which no format of ours has.
     Date(String),
+    /// A list.
     List(Vec<Node>),
+    /// A table.
     Table(BTreeMap<String, Node>),
 }
 
 impl Node {
     /// Reads a whole document.
-    pub(super) fn document(text: &str) -> Read<Self> {
+    ///
+    /// # Errors
+    /// It is not TOML.
+    pub fn document(text: &str) -> Read<Self> {
         let table = DeTable::parse(text).map_err(|error| {
             let line = error.span().map_or(1, |span| line_of(text, span.start));
             Refusal::new(&Place::Line(line), "", syntax(&error))
@@ -39,7 +51,10 @@ impl Node {
     }
 
     /// Carries out `--set ARGUMENT`, where ARGUMENT is `path.to.key=value`: the value in TOML, or a bare word, which is text.
-    pub(super) fn set(&mut self, argument: &str) -> Read<()> {
+    ///
+    /// # Errors
+    /// The argument is no `key=value`, or leads nowhere.
+    pub fn set(&mut self, argument: &str) -> Read<()> {
         let place = Place::Set(argument.to_owned());
         let refuse =
             |why: String| Refusal::new(&Place::Set(argument.to_owned()), "", Problem::Path(why));
@@ -176,12 +191,12 @@ impl core::fmt::Display for Value {
 }
 
 /// `text` as a TOML string.
-pub(super) fn quoted(text: &str) -> String {
+pub fn quoted(text: &str) -> String {
     toml::Value::String(text.to_owned()).to_string()
 }
 
 /// `value` as a TOML float: the shortest text that reads back as the same number.
-pub(super) fn number(value: f64) -> String {
+pub fn number(value: f64) -> String {
     if value.is_finite() {
         format!("{value:?}")
     } else {
@@ -190,7 +205,7 @@ pub(super) fn number(value: f64) -> String {
 }
 
 /// `parent.key`, or `key` at the top.
-pub(super) fn join(parent: &str, key: &str) -> String {
+pub fn join(parent: &str, key: &str) -> String {
     if parent.is_empty() {
         key.to_owned()
     } else {

@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use sphere_protocol::quantity::nearest;
+use crate::quantity::nearest;
 
-use super::document::{Node, Value, join};
 use super::error::{Place, Problem, Read, Refusal};
+use super::node::{Node, Value, join};
 
 /// A table whose keys are all known.
-pub(super) struct Table<'a> {
+pub struct Table<'a> {
     path: String,
     place: &'a Place,
     entries: &'a BTreeMap<String, Node>,
@@ -16,14 +16,14 @@ pub(super) struct Table<'a> {
 
 /// A closed range of a number; `above` makes its lower end open.
 #[derive(Clone, Copy)]
-pub(super) struct Range {
+pub struct Range {
     low: f64,
     high: f64,
     above: bool,
 }
 
 /// A type whose values have names in the file.
-pub(super) trait Named: Copy + PartialEq + 'static {
+pub trait Named: Copy + PartialEq + 'static {
     /// What the names name, for messages.
     const WHAT: &'static str;
     /// Every value with its name.
@@ -38,7 +38,7 @@ pub(super) trait Named: Copy + PartialEq + 'static {
 
 impl Range {
     /// From `low` to `high`, both included.
-    pub(super) const fn within(low: f64, high: f64) -> Self {
+    pub const fn within(low: f64, high: f64) -> Self {
         Self {
             low,
             high,
@@ -47,7 +47,7 @@ impl Range {
     }
 
     /// Above 0, up to `high`.
-    pub(super) const fn positive(high: f64) -> Self {
+    pub const fn positive(high: f64) -> Self {
         Self {
             low: 0.0,
             high,
@@ -83,7 +83,10 @@ impl Range {
 
 impl<'a> Table<'a> {
     /// `node` as a table at `path` with none but the `known` keys.
-    pub(super) fn open(node: &'a Node, path: &str, known: &[&'static str]) -> Read<Self> {
+    ///
+    /// # Errors
+    /// It is no table, or has another key.
+    pub fn open(node: &'a Node, path: &str, known: &[&'static str]) -> Read<Self> {
         let Value::Table(entries) = &node.value else {
             return Err(kind(node, path, "a table", ""));
         };
@@ -106,29 +109,38 @@ impl<'a> Table<'a> {
     }
 
     /// The path of `key` in this table.
-    pub(super) fn path_of(&self, key: &str) -> String {
+    pub fn path_of(&self, key: &str) -> String {
         join(&self.path, key)
     }
 
     /// The value of `key` with its path.
-    pub(super) fn node(&self, key: &str) -> Option<(&'a Node, String)> {
+    pub fn node(&self, key: &str) -> Option<(&'a Node, String)> {
         Some((self.entries.get(key)?, self.path_of(key)))
     }
 
     /// A number in `range`.
-    pub(super) fn number(&self, key: &str, range: Range) -> Read<Option<f64>> {
+    ///
+    /// # Errors
+    /// It is no number, or outside the range.
+    pub fn number(&self, key: &str, range: Range) -> Read<Option<f64>> {
         self.node(key)
             .map(|(node, path)| number_of(node, &path, range))
             .transpose()
     }
 
     /// A number in `range`, or `default` where the file has none.
-    pub(super) fn number_or(&self, key: &str, range: Range, default: f64) -> Read<f64> {
+    ///
+    /// # Errors
+    /// It is no number, or outside the range.
+    pub fn number_or(&self, key: &str, range: Range, default: f64) -> Read<f64> {
         Ok(self.number(key, range)?.unwrap_or(default))
     }
 
     /// A number in `range` that must be there.
-    pub(super) fn required_number(
+    ///
+    /// # Errors
+    /// It is missing, no number, or outside the range.
+    pub fn required_number(
         &self,
         key: &'static str,
         range: Range,
@@ -139,7 +151,10 @@ impl<'a> Table<'a> {
     }
 
     /// A whole number from `low` to `high`.
-    pub(super) fn integer(&self, key: &str, low: i64, high: i64) -> Read<Option<i64>> {
+    ///
+    /// # Errors
+    /// It is no whole number, or outside the range.
+    pub fn integer(&self, key: &str, low: i64, high: i64) -> Read<Option<i64>> {
         let Some((node, path)) = self.node(key) else {
             return Ok(None);
         };
@@ -158,15 +173,34 @@ impl<'a> Table<'a> {
         }
     }
 
+    /// A text that must be there.
+    ///
+    /// # Errors
+    /// It is missing or no text.
+    pub fn required_text(
+        &self,
+        key: &'static str,
+        example: &'static str,
+    ) -> Read<(&'a Node, &'a str, String)> {
+        let (node, path) = self.node(key).ok_or_else(|| self.missing(key, example))?;
+        Ok((node, text_of(node, &path)?, path))
+    }
+
     /// A text.
-    pub(super) fn text(&self, key: &str) -> Read<Option<&'a str>> {
+    ///
+    /// # Errors
+    /// It is no text.
+    pub fn text(&self, key: &str) -> Read<Option<&'a str>> {
         self.node(key)
             .map(|(node, path)| text_of(node, &path))
             .transpose()
     }
 
     /// A name of one of `T`'s values, or `default` where the file has none.
-    pub(super) fn named_or<T: Named>(&self, key: &str, default: T) -> Read<T> {
+    ///
+    /// # Errors
+    /// It names none of them.
+    pub fn named_or<T: Named>(&self, key: &str, default: T) -> Read<T> {
         let Some((node, path)) = self.node(key) else {
             return Ok(default);
         };
@@ -183,19 +217,47 @@ impl<'a> Table<'a> {
     }
 
     /// The entries of a list with their paths; none where the file has no such list.
-    pub(super) fn list(&self, key: &str) -> Read<Vec<(&'a Node, String)>> {
+    ///
+    /// # Errors
+    /// It is no list.
+    pub fn list(&self, key: &str) -> Read<Vec<(&'a Node, String)>> {
         self.node(key)
             .map_or(Ok(Vec::new()), |(node, path)| list_of(node, &path))
     }
 
     /// The error that `key` is missing here.
-    pub(super) fn missing(&self, key: &'static str, example: &'static str) -> Refusal {
+    pub fn missing(&self, key: &'static str, example: &'static str) -> Refusal {
         Refusal::new(self.place, &self.path_of(key), Problem::Missing { example })
     }
 }
 
+/// The table `key` of `top`, or `empty` in its place.
+///
+/// # Errors
+/// It is no table, or has a key that is not `known`.
+pub fn section<'a>(
+    top: &Table<'a>,
+    key: &str,
+    known: &[&'static str],
+    empty: &'a Node,
+) -> Read<Table<'a>> {
+    let (node, path) = top.node(key).unwrap_or((empty, top.path_of(key)));
+    Table::open(node, &path, known)
+}
+
+/// A table without entries, for a section that the file leaves out.
+pub fn empty() -> Node {
+    Node {
+        value: Value::Table(BTreeMap::new()),
+        place: Place::File,
+    }
+}
+
 /// `node` as a number in `range`.
-pub(super) fn number_of(node: &Node, path: &str, range: Range) -> Read<f64> {
+///
+/// # Errors
+/// It is no number, or outside the range.
+pub fn number_of(node: &Node, path: &str, range: Range) -> Read<f64> {
     let value = match node.value {
         Value::Float(value) => value,
         Value::Integer(value) => value as f64,
@@ -209,7 +271,10 @@ pub(super) fn number_of(node: &Node, path: &str, range: Range) -> Read<f64> {
 }
 
 /// `node` as text.
-pub(super) fn text_of<'a>(node: &'a Node, path: &str) -> Read<&'a str> {
+///
+/// # Errors
+/// It is no text.
+pub fn text_of<'a>(node: &'a Node, path: &str) -> Read<&'a str> {
     match &node.value {
         Value::Text(text) => Ok(text),
         _ => Err(kind(node, path, "text", ": put it in quotes")),
@@ -217,7 +282,10 @@ pub(super) fn text_of<'a>(node: &'a Node, path: &str) -> Read<&'a str> {
 }
 
 /// The entries of the list `node` with their paths.
-pub(super) fn list_of<'a>(node: &'a Node, path: &str) -> Read<Vec<(&'a Node, String)>> {
+///
+/// # Errors
+/// It is no list.
+pub fn list_of<'a>(node: &'a Node, path: &str) -> Read<Vec<(&'a Node, String)>> {
     match &node.value {
         Value::List(items) => Ok(items
             .iter()
@@ -229,13 +297,13 @@ pub(super) fn list_of<'a>(node: &'a Node, path: &str) -> Read<Vec<(&'a Node, Str
 }
 
 /// A refusal of `node` for the reason `why`.
-pub(super) fn refused(node: &Node, path: &str, why: String) -> Refusal {
+pub fn refused(node: &Node, path: &str, why: String) -> Refusal {
     let value = node.value.to_string();
     Refusal::new(&node.place, path, Problem::Refused { value, why })
 }
 
 /// A refusal of the text `node`, which names none of `known`.
-pub(super) fn unknown_name<'a>(
+pub fn unknown_name<'a>(
     node: &Node,
     path: &str,
     what: &'static str,

@@ -1,16 +1,16 @@
-//! Why a scenario was refused.
+//! Why a file was refused.
 
 use core::fmt;
 
 use thiserror::Error;
 
-/// Why a scenario was refused: where, which key, what is wrong with it and what to write instead.
+/// Why a file was refused: where, which key, what is wrong with it and what to write instead.
 ///
 /// It displays as one line: `demo.toml:7: network.loss = 1.5: it must be from 0.0 to 1.0`.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error("{file}{place}: {key}{problem}")]
-pub struct ScenarioError {
-    /// The scenario file, as the user named it.
+pub struct DocumentError {
+    /// The file, as the user named it.
     pub file: String,
     /// Where the value was written.
     pub place: Place,
@@ -31,7 +31,7 @@ pub enum Place {
     File,
 }
 
-/// What is wrong with a scenario. Each displays as the rest of a line that begins with the key, and says what to write instead.
+/// What is wrong with a file. Each displays as the rest of a line that begins with the key, and says what to write instead.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Problem {
     /// Not TOML.
@@ -111,23 +111,36 @@ impl fmt::Display for Place {
 }
 
 /// What a reader returns: the value, or the place, key and reason of the refusal.
-pub(super) type Read<T> = Result<T, Refusal>;
+pub type Read<T> = Result<T, Refusal>;
 
 /// A refusal without the file's name, which the top adds once.
-#[derive(Debug)]
-pub(super) struct Refusal {
-    pub(super) place: Place,
-    pub(super) key: String,
-    pub(super) problem: Box<Problem>,
+#[derive(Debug, Error)]
+#[error("{key}{problem}")]
+pub struct Refusal {
+    /// Where the value was written.
+    pub place: Place,
+    /// The key by its whole path.
+    pub key: String,
+    /// What is wrong and the remedy.
+    pub problem: Box<Problem>,
 }
 
 impl Refusal {
     /// The refusal of the key at the path `key`, written at `place`.
-    pub(super) fn new(place: &Place, key: &str, problem: Problem) -> Self {
+    pub fn new(place: &Place, key: &str, problem: Problem) -> Self {
         Self {
             place: place.clone(),
             key: key.to_owned(),
             problem: Box::new(problem),
+        }
+    }
+    /// The refusal as an error of `file`, as the user named it.
+    pub fn in_file(self, file: &str) -> DocumentError {
+        DocumentError {
+            file: file.to_owned(),
+            place: self.place,
+            key: self.key,
+            problem: self.problem,
         }
     }
 }
