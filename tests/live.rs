@@ -225,6 +225,7 @@ async fn a_cut_link_stops_its_robot_alone() {
     let options = Options {
         scenario,
         cuts: vec![cut],
+        mirror: None,
     };
     let performance = demo::perform(options, &mut stop, |_| ())
         .await
