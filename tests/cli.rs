@@ -133,7 +133,7 @@ fn a_missing_file_is_named() {
 
 #[test]
 fn gains_that_cannot_be_stable_are_refused_with_the_numbers() {
-    // Issue: "a gain set that violates E2-E4 is refused with the numbers".
+    // Promise: "a gain set that violates E2-E4 is refused with the numbers".
     let folder = folder("gains");
     let liu = include_str!("../protocol/robots/liu.toml");
     let line = liu

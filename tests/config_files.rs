@@ -76,7 +76,7 @@ fn example_of_the_station_states_the_defaults_and_fits_the_agent() {
     assert_eq!(file.robots[0].robot.name, agent.robot.name);
 }
 
-/// Issue 3: unknown keys refused with file, line, key and the nearest known one; wrong types, negative times, bad ids, unknown robots too.
+/// Promise: unknown keys refused with file, line, key and the nearest known one; wrong types, negative times, bad ids, unknown robots too.
 #[test]
 fn every_mistake_in_an_agents_file_is_named() {
     let good = example("agent.toml");

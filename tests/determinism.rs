@@ -63,7 +63,7 @@ fn a_scenario_as_drawn_replays_the_same_digest() {
 
 #[test]
 fn a_clock_that_shows_a_thousand_seconds_more_changes_no_position_error() {
-    // Issue: "a clock offset of 1000 s leaves the position errors equal to 1e-9". No clock is synchronised.
+    // Promise: "a clock offset of 1000 s leaves the position errors equal to 1e-9". No clock is synchronised.
     let base = drive(&[]);
     for sets in [
         ["robots.0.clock_offset_s=1000", "robots.1.clock_offset_s=0"],

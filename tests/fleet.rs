@@ -57,7 +57,7 @@ fn print(name: &str, robot: &RobotMetrics) {
 
 #[test]
 fn ideal_network_tracks_each_trajectory_within_20_mm() {
-    // Issue "A robot rolls in virtual time": position_rmse_m ≤ 0.020 on an ideal network.
+    // Promise: position_rmse_m ≤ 0.020 on an ideal network.
     for (name, text) in SCENARIOS {
         let run = drive(text, &[]);
         let robot = &run.metrics.robots[0];
@@ -98,7 +98,7 @@ fn worst_estimate(rows: &[Row]) -> f64 {
 
 #[test]
 fn without_position_fixes_the_estimate_drifts_by_at_most_2_percent_of_the_path() {
-    // Issue: "with position_fix_hz = 0 the estimate drifts (the truth does not leak) by ≤ 2 % of the path".
+    // Promise: "with position_fix_hz = 0 the estimate drifts (the truth does not leak) by ≤ 2 % of the path".
     for (name, text) in SCENARIOS {
         let blind = drive(text, &["sensing.position_fix_hz=0"]);
         let rows = blind.trace.rows();

@@ -97,7 +97,7 @@ fn rubbish(random: &mut ChaCha8Rng, samples: &[Vec<u8>]) -> Vec<u8> {
 
 #[test]
 fn rubbish_on_every_input_leaves_tracking_within_its_bound() {
-    // Issue: "truncated and garbage frames ...: a counted drop, never a panic, never a torque".
+    // Promise: "truncated and garbage frames ...: a counted drop, never a panic, never a torque".
     let duration = at(60.0);
     let mut world = world(&["duration_s=60"]);
     let mut frames = Vec::new();
@@ -335,7 +335,7 @@ fn strangers_plans_and_orders_change_nothing() {
 
 #[test]
 fn nan_from_a_sensor_ends_the_torque_and_is_counted() {
-    // Issue: "NaN from a sensor: ... a counted drop, never a torque".
+    // Promise: "NaN from a sensor: ... a counted drop, never a torque".
     let mut world = world(&["duration_s=16"]);
     world.tamper_with_motor_links(Box::new(|t, _, way, bytes| {
         if way == MotorWay::ToAgent && t >= Span::from_millis(14_000) && bytes.len() > 60 {

@@ -212,7 +212,7 @@ async fn a_cut_holds_everything_back_and_loses_nothing() {
 
 // --- the whole ----------------------------------------------------------------------------------------------------------------
 
-/// Issue "The fleet rolls live": cutting one link puts that robot into holding within its plan's validity, and leaves the others alone.
+/// Promise: cutting one link puts that robot into holding within its plan's validity, and leaves the others alone.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cut_link_stops_its_robot_alone() {
     let cut: Cut = "r1@12+7".parse().expect("a cut");

@@ -138,7 +138,7 @@ fn jump(board: &Board, begin: Instant) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// Issue 3, endings: Ctrl-C on an agent brakes, rests, then zero torque, ≤ 5 s.
+/// Promise: Ctrl-C on an agent brakes, rests, then zero torque, ≤ 5 s.
 #[test]
 fn ctrl_c_brakes_to_rest_and_then_ends() {
     let mut fleet = Fleet::rolling("ctrl-c", Some(1));
@@ -173,7 +173,7 @@ fn ctrl_c_brakes_to_rest_and_then_ends() {
     println!("measured: station ended after {took:?}");
 }
 
-/// Issue 3, endings: a second Ctrl-C is zero torque now.
+/// Promise: a second Ctrl-C is zero torque now.
 #[test]
 fn second_ctrl_c_is_zero_torque_now() {
     let mut fleet = Fleet::rolling("twice", Some(1));
@@ -194,7 +194,7 @@ fn second_ctrl_c_is_zero_torque_now() {
     );
 }
 
-/// Issue 3, endings: a killed station leaves the robot braking to rest and holding; another one picks it up without a jump.
+/// Promise: a killed station leaves the robot braking to rest and holding; another one picks it up without a jump.
 #[test]
 fn killed_station_leaves_the_robot_at_rest_and_the_next_one_picks_it_up() {
     let mut fleet = Fleet::rolling("killed", None);
@@ -252,7 +252,7 @@ fn station_restarted_at_once_takes_over_before_the_last_plan_ends() {
     assert!(jump(&fleet.board, killed) < 0.05);
 }
 
-/// Issue 3, endings: a killed agent leaves zero torque by the motor link's validity; its next life is not driven by plans for this one.
+/// Promise: a killed agent leaves zero torque by the motor link's validity; its next life is not driven by plans for this one.
 #[test]
 fn killed_agent_leaves_zero_torque_and_its_next_life_ignores_old_plans() {
     let mut fleet = Fleet::rolling("agent", Some(1));
@@ -309,7 +309,7 @@ fn killed_agent_leaves_zero_torque_and_its_next_life_ignores_old_plans() {
     fleet.station.says(again, 5 * SECOND, "rebooted");
 }
 
-/// Issue 3: SIGSTOP. A frozen agent: zero torque by the validity, and known to the others within 1 s or so.
+/// Promise: SIGSTOP. A frozen agent: zero torque by the validity, and known to the others within 1 s or so.
 #[test]
 fn frozen_agent_is_known_within_a_second() {
     let fleet = Fleet::rolling("frozen-agent", Some(1));
@@ -340,7 +340,7 @@ fn frozen_agent_is_known_within_a_second() {
     );
 }
 
-/// Issue 3: SIGSTOP of the station, which is the router too: the robot plays its plan, brakes and holds; woken, it goes on.
+/// Promise: SIGSTOP of the station, which is the router too: the robot plays its plan, brakes and holds; woken, it goes on.
 #[test]
 fn frozen_station_is_outlived_and_goes_on_when_woken() {
     let fleet = Fleet::rolling("frozen-station", Some(1));
@@ -358,7 +358,7 @@ fn frozen_station_is_outlived_and_goes_on_when_woken() {
     assert!(jump(&fleet.board, woken) < 0.05);
 }
 
-/// Issue 3: a router apart from station and agent dies and comes back: the robot holds, and both are connected again within 1 s.
+/// Promise: a router apart from station and agent dies and comes back: the robot holds, and both are connected again within 1 s.
 #[test]
 fn router_that_dies_and_returns_costs_a_second_at_most() {
     let port = free_port();

@@ -94,7 +94,7 @@ fn frames_written_anew_unchanged_still_track() {
 
 #[test]
 fn one_flipped_field_breaks_a_run() {
-    // Issue: "the same wire bytes (...; one flipped encoder field breaks a run)".
+    // Promise: "the same wire bytes (...; one flipped encoder field breaks a run)".
     let flips: [(&str, Flip); 12] = [
         ("theta_r", Flip::Sensors(|data| data.theta_r *= -1.0)),
         ("theta_p", Flip::Sensors(|data| data.theta_p *= -1.0)),
