@@ -31,7 +31,7 @@ fn read(text: &str, sets: &[&str]) -> Scenario {
 }
 
 fn drive(sets: &[&str]) -> Run {
-    run(&read(TWO, sets), || 0.0).expect("the gains are stable")
+    run(&read(TWO, sets), "", || 0.0).expect("the gains are stable")
 }
 
 #[test]
@@ -56,8 +56,8 @@ fn a_scenario_as_drawn_replays_the_same_digest() {
     // `run --out` writes scenario.toml "as drawn: it replays the run".
     let sets = ["seed=5", "network.up.delay_ms=120", "sensing.noise=0.7"];
     let scenario = read(TWO, &sets);
-    let first = run(&scenario, || 0.0).expect("the gains are stable");
-    let again = run(&read(&scenario.drawn(), &[]), || 0.0).expect("the gains are stable");
+    let first = run(&scenario, "", || 0.0).expect("the gains are stable");
+    let again = run(&read(&scenario.drawn(), &[]), "", || 0.0).expect("the gains are stable");
     assert_eq!(first.metrics.digest, again.metrics.digest);
 }
 
@@ -92,7 +92,7 @@ fn a_clock_that_shows_a_thousand_seconds_more_changes_no_position_error() {
 fn running_in_pieces_is_running_at_once() {
     // `run_until` stops between events and never inside one.
     let scenario = read(TWO, &["duration_s=8"]);
-    let whole = run(&scenario, || 0.0).expect("the gains are stable");
+    let whole = run(&scenario, "", || 0.0).expect("the gains are stable");
     let mut world = sphere_sim::world::World::new(&scenario).expect("the gains are stable");
     for ms in (0..8000).step_by(7) {
         world.run_until(sphere_protocol::time::Span::from_millis(ms));

@@ -37,7 +37,7 @@ fn scenario(text: &str, sets: &[&str]) -> Scenario {
 }
 
 fn drive(text: &str, sets: &[&str]) -> Run {
-    run(&scenario(text, sets), || 0.0).expect("the gains are stable")
+    run(&scenario(text, sets), "", || 0.0).expect("the gains are stable")
 }
 
 fn rmse(robot: &RobotMetrics) -> f64 {

@@ -39,5 +39,5 @@ fn robot_seconds(bencher: Bencher, name: &str) {
     let scenario = read_scenario(&file, &["duration_s=20".to_owned()]).expect("it ships");
     bencher
         .counter(ItemsCount::new(20_usize))
-        .bench_local(|| run(&scenario, || 0.0).expect("stable gains"));
+        .bench_local(|| run(&scenario, "", || 0.0).expect("stable gains"));
 }
