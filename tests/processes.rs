@@ -153,7 +153,7 @@ fn ctrl_c_brakes_to_rest_and_then_ends() {
         .into_iter()
         .take_while(|t| t.at < asked + took)
         .filter(|t| t.commanded)
-        .next_back()
+        .last()
         .expect("it braked under torque");
     assert!(
         last.v.abs() < 0.05,
