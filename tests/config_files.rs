@@ -148,7 +148,7 @@ fn every_mistake_in_an_agents_file_is_named() {
         (
             "[\"tcp/127.0.0.1:7447\"]",
             "[\"127.0.0.1:7447\"]",
-            "the protocol must be one of",
+            "it has no protocol",
         ),
         (
             "[\"tcp/127.0.0.1:7447\"]",
@@ -218,7 +218,7 @@ fn every_mistake_in_a_stations_file_is_named() {
         ),
         (
             format!("{robot}start_at_s = -1"),
-            "robots.0.start_at_s = -1: it must be from 0",
+            "robots.0.start_at_s = -1: it must be 0 or more",
         ),
         (
             format!("{robot}start = {{ x_m = 1 }}"),

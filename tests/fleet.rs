@@ -138,7 +138,8 @@ fn a_radius_that_nobody_told_the_robot_shows_without_fixes_alone() {
         100.0 * corrected
     );
     assert!((0.008..=0.012).contains(&share), "{share}");
-    assert!(corrected < 0.5 * share, "{corrected}");
+    // The filter believes its radius firmly: fixes hold the error where it is, they do not remove it.
+    assert!(corrected < 0.7 * share, "{corrected}");
 }
 
 #[test]

@@ -383,9 +383,9 @@ fn a_lease_is_granted_refused_and_passes_on_after_silence() {
         "nobody's order to arm"
     );
     bench.command(CommandOrder::Claim);
-    bench.run(2.0);
+    bench.run(0.8);
     bench.command_from(8, CommandOrder::Claim);
-    bench.run(3.1);
+    bench.run(0.3);
     bench.command_from(8, CommandOrder::Claim);
     let leases: Vec<_> = bench
         .events
