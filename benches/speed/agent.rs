@@ -122,7 +122,7 @@ impl Rig {
             self.agent
                 .handle_input(self.now() + *since, Input::Motor(frame));
         }
-        self.elapsed += Span::from_millis(20);
+        self.elapsed = self.elapsed + Span::from_millis(20);
         self.agent.handle_input(self.now(), Input::Timeout);
         while let Some(output) = self.agent.poll_output() {
             if let Output::Motor(frame) = output {
@@ -164,7 +164,7 @@ fn body(robot: &Robot) -> Body {
 
 /// The body's next sensor frame, 5 ms on.
 fn sensed(body: &mut Body, elapsed: &mut Span) -> Measurement {
-    *elapsed += Span::from_millis(5);
+    *elapsed = *elapsed + Span::from_millis(5);
     body.advance(*elapsed);
     let frame = body.sense().expect("a state within range");
     let mut reader = FrameReader::new(Framing::Datagrams, AGENT, Some(BOARD.system));
