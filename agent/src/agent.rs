@@ -498,10 +498,10 @@ impl Agent {
     }
 
     fn on_shutdown(&mut self, now: Instant<AgentClock>) {
-        if self.begin_ending(now) {
-            if let Ok(transition) = self.mode.hold(Reason::Shutdown) {
-                self.report(transition);
-            }
+        if self.begin_ending(now)
+            && let Ok(transition) = self.mode.hold(Reason::Shutdown)
+        {
+            self.report(transition);
         }
     }
 

@@ -114,6 +114,10 @@ pub enum RunError {
 }
 
 /// What the control thread asks the shell to do.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a box would allocate in the control thread"
+)]
 enum Outgoing {
     Publish {
         direction: Direction,

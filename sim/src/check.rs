@@ -173,7 +173,8 @@ mod tests {
 
     #[test]
     fn every_rule_fires_on_its_defect_and_on_no_other() {
-        let defects: [(&str, fn(&mut Row)); 7] = [
+        type Defect = (&'static str, fn(&mut Row));
+        let defects: [Defect; 7] = [
             ("finite", |row| row.truth.x = f64::NAN),
             ("torque-limit", |row| row.torque_commanded.roll = 20.1),
             ("no-torque-unless-armed", |row| {

@@ -350,6 +350,7 @@ fn times_transition(a: &mut Columns, transition: &[(usize, usize, f64)]) {
     }
 }
 
+#[allow(clippy::needless_range_loop, reason = "both triangles are indexed")]
 fn transpose(a: &mut Columns) {
     for i in 0..STATES {
         for j in 0..i {
@@ -359,6 +360,7 @@ fn transpose(a: &mut Columns) {
 }
 
 /// (A + Aᵀ)/2: rounding must not make a covariance lopsided.
+#[allow(clippy::needless_range_loop, reason = "both triangles are indexed")]
 fn make_symmetric(a: &mut Columns) {
     for i in 0..STATES {
         for j in 0..i {
