@@ -67,7 +67,7 @@ impl Link {
         self.command_down = None;
     }
 
-    /// By when a plan sent at `sent` will have arrived, nearly always: the 95 % quantile of the last [`ECHOES`]. `None` before the
+    /// By when a plan sent at `sent` will have arrived, nearly always: the 95 % quantile of the last 64. `None` before the
     /// first echo, of a plan or a command.
     ///
     /// Early costs a little of the feedback's freshness, because the plan waits on board for its start; late costs a jump from the plan before it.

@@ -1,6 +1,6 @@
 //! One robot as the station knows it: its life, lease, mode, link and plans.
 //!
-//! What it does at each planning tick is in [`Session::tick`], top down; everything else keeps the facts for it.
+//! What it does at each planning tick is in `Session::tick`, top down; everything else keeps the facts for it.
 
 mod lease;
 

@@ -5,9 +5,9 @@
 //!
 //! | ours | MAVLink | how |
 //! |---|---|---|
-//! | [`Measurement`](crate::state::Measurement) | SPHERE_SENSORS 53000 | SI, FLU; angles f64, the rest f32; stamp in whole µs of the board's clock |
+//! | [`Measurement`] | SPHERE_SENSORS 53000 | SI, FLU; angles f64, the rest f32; stamp in whole µs of the board's clock |
 //! | [`TorqueCommand`] | SPHERE_TORQUE 53001 | N·m as f32; validity in whole ms from receipt |
-//! | [`PositionFix`](crate::state::PositionFix) | VISION_POSITION_ESTIMATE 102 | local NED, `usec` in the board's clock |
+//! | [`PositionFix`] | VISION_POSITION_ESTIMATE 102 | local NED, `usec` in the board's clock |
 //! | [`Heartbeat`] | HEARTBEAT 0 | rover, generic autopilot |
 //!
 //! Frames: ours is ENU-like (X, Y on the floor, Z up), MAVLink's local frame NED: (x, y, z) becomes (y, x, −z), both ways.
