@@ -209,8 +209,12 @@ fn every_mistake_in_a_stations_file_is_named() {
             "did you mean `line`?",
         ),
         (
-            format!("{robot}mission = {{ kind = 'roll' }}"),
-            "there is no such mission",
+            format!("{robot}mission = {{ kind = 'roll', speed_mps = 0.5 }}"),
+            "angles_deg",
+        ),
+        (
+            format!("{robot}mission = {{ kind = 'roll', speed_mps = 0.5, angles_deg = [30] }}"),
+            "a roll of 30.0° is above the 20.0° that this robot may have at this speed",
         ),
         (
             format!("{robot}mission = {{ kind = 'circle', radius_m = 0.01, speed_mps = 0.5 }}"),

@@ -160,6 +160,7 @@ fn a_ramp_to_ten_degrees_in_one_second_rises_in_one_and_settles_at_nine_tenths()
             at: Span::from_millis(5000),
             from: 0.0,
             to: sign * 10f64.to_radians(),
+            until: None,
         });
         let metrics = only(&trace, record);
         // One row is 20 ms: a threshold crossed between two rows counts at the later one.
@@ -178,10 +179,14 @@ fn a_roll_that_leaves_the_band_at_the_end_has_risen_and_not_settled() {
         at: Span::from_millis(5000),
         from: 0.0,
         to: 10f64.to_radians(),
+        until: None,
     });
-    let metrics = only(&trace, record);
+    let metrics = only(&trace, record.clone());
     close("rise", metrics.rise_time_s, 0.0, 0.0);
     assert_eq!(metrics.settling_time_s, None);
+    // What comes after the next change is not of this step.
+    record.roll_step.as_mut().expect("it was set").until = Some(Span::from_millis(19_980));
+    close("settling", only(&trace, record).settling_time_s, 0.0, 0.0);
 }
 
 #[test]

@@ -3,9 +3,7 @@
 use proptest::prelude::*;
 use sphere_ground::settings::{Compensation, PlannerMode};
 use sphere_ground::trajectory::Mission;
-use sphere_sim::scenario::{
-    Environment, Loss, MissionSetup, Place, Problem, Scenario, ScenarioError,
-};
+use sphere_sim::scenario::{Environment, Loss, Place, Problem, Scenario, ScenarioError};
 
 const MINIMAL: &str = "[[robots]]\nid = \"r1\"\n";
 
@@ -46,7 +44,7 @@ fn robots_alone_make_a_scenario_with_every_default() {
     );
     let r1 = &scenario.robots[0];
     assert_eq!((r1.id.as_str(), r1.model.reference.as_str()), ("r1", "liu"));
-    assert_eq!(r1.mission, MissionSetup::Path(Mission::Hold));
+    assert_eq!(r1.mission, Mission::Hold);
     assert_eq!(r1.plant, r1.model.robot.params);
 }
 
@@ -55,17 +53,17 @@ fn the_shipped_scenarios_are_the_papers_three_trajectories() {
     for (text, mission, duration_s) in [
         (
             include_str!("../sim/scenarios/line.toml"),
-            MissionSetup::Path(Mission::Line),
+            Mission::Line,
             40.0,
         ),
         (
             include_str!("../sim/scenarios/sine.toml"),
-            MissionSetup::Path(Mission::Sine),
+            Mission::Sine,
             60.0,
         ),
         (
             include_str!("../sim/scenarios/lemniscate.toml"),
-            MissionSetup::Path(Mission::Lemniscate),
+            Mission::Lemniscate,
             110.0,
         ),
     ] {
@@ -173,10 +171,10 @@ fn set_overrides_any_key_by_its_path() {
     assert_eq!(scenario.network.up.loss, Loss::Independent(0.0));
     assert_eq!(scenario.robots[1].clock_offset_s, 9.0);
     assert_eq!(scenario.planner.compensation, Compensation::NoGains);
-    let circle = MissionSetup::Path(Mission::Circle {
+    let circle = Mission::Circle {
         radius_m: 3.0,
         speed_mps: 0.5,
-    });
+    };
     assert_eq!(scenario.robots[0].mission, circle);
 }
 
@@ -405,10 +403,6 @@ fn what_the_simulator_cannot_do_is_refused_by_name_and_never_ignored() {
         (
             "roll_controller = \"fuzzy-pid\"",
             "robots.0.roll_controller",
-        ),
-        (
-            "mission = { kind = \"roll\", speed_mps = 0.5, angles_deg = [10] }",
-            "robots.0.mission.kind",
         ),
     ] {
         let error = parse(&robot(lines), &[]).expect_err(lines);

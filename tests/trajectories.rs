@@ -372,72 +372,95 @@ fn impossible_waypoints_are_refused() {
     }
 }
 
-/// Scenario files: what is accepted comes back as it was, what is wrong is named.
+/// Built by hand a mission may hold anything: what no robot can do is named. Files are read in tests/config_files.rs.
 #[test]
-fn mission_specifications_are_checked() {
-    let read = |text: &str| toml::from_str::<Mission>(text);
-    for (text, mission) in [
-        ("kind = \"line\"", Mission::Line),
-        ("kind = \"sine\"", Mission::Sine),
-        ("kind = \"lemniscate\"", Mission::Lemniscate),
-        ("kind = \"hold\"", Mission::Hold),
+fn impossible_missions_are_named() {
+    let circle = |radius_m, speed_mps| Mission::Circle {
+        radius_m,
+        speed_mps,
+    };
+    let roll = |speed_mps, angles: &[f64], hold_s| Mission::Roll {
+        speed_mps,
+        angles_deg: angles.to_vec(),
+        hold_s,
+    };
+    let sine = |speed_mps, amplitude_deg| Mission::RollSine {
+        speed_mps,
+        amplitude_deg,
+        rate_radps: 0.15,
+        phase_rad: 0.0,
+    };
+    for (mission, names) in [
+        (circle(-2.0, 0.5), "radius_m = -2"),
+        (circle(2.0, 0.0), "speed_mps = 0"),
+        (circle(f64::NAN, 0.5), "radius_m"),
+        (waypoints(&[[0.0, 0.0]], 0.5), "at least 2"),
+        (waypoints(&[[0.0, 0.0], [0.0, 0.0]], 0.5), "points_m[1]"),
         (
-            "kind = \"circle\"\nradius_m = 2.0\nspeed_mps = 0.5",
-            Mission::Circle {
-                radius_m: 2.0,
-                speed_mps: 0.5,
-            },
-        ),
-        (
-            "kind = \"waypoints\"\npoints_m = [[0.0, 0.0], [1, 2]]\nspeed_mps = 0.5",
-            waypoints(&[[0.0, 0.0], [1.0, 2.0]], 0.5),
-        ),
-    ] {
-        assert_eq!(read(text).expect(text), mission);
-        let again = toml::to_string(&mission).expect("writes");
-        assert_eq!(read(&again).expect("reads back"), mission);
-    }
-    for (text, names) in [
-        ("kind = \"spiral\"", "spiral"),
-        ("kind = \"line\"\nspeed_mps = 1.0", "speed_mps"),
-        ("kind = \"line\"\ncolour = 1", "colour"),
-        ("kind = \"circle\"\nspeed_mps = 0.5", "radius_m"),
-        (
-            "kind = \"circle\"\nradius_m = -2.0\nspeed_mps = 0.5",
-            "radius_m = -2",
-        ),
-        (
-            "kind = \"circle\"\nradius_m = 2.0\nspeed_mps = 0.0",
-            "speed_mps = 0",
-        ),
-        (
-            "kind = \"circle\"\nradius_m = nan\nspeed_mps = 0.5",
-            "radius_m",
-        ),
-        (
-            "kind = \"circle\"\nradius_m = 2.0\nspeed_mps = 0.5\npoints_m = []",
-            "points_m",
-        ),
-        ("kind = \"waypoints\"\nspeed_mps = 0.5", "points_m"),
-        (
-            "kind = \"waypoints\"\npoints_m = [[0.0, 0.0]]\nspeed_mps = 0.5",
-            "at least 2",
-        ),
-        (
-            "kind = \"waypoints\"\npoints_m = [[0.0, 0.0], [0.0, 0.0]]\nspeed_mps = 0.5",
+            waypoints(&[[0.0, 0.0], [f64::INFINITY, 0.0]], 0.5),
             "points_m[1]",
         ),
-        (
-            "kind = \"waypoints\"\npoints_m = [[0.0, 0.0], [inf, 0.0]]\nspeed_mps = 0.5",
-            "points_m[1]",
-        ),
-        (
-            "kind = \"waypoints\"\npoints_m = [[0.0, 0.0], [1.0]]\nspeed_mps = 0.5",
-            "",
-        ),
-        ("speed_mps = 0.5", "kind"),
+        (roll(0.5, &[], 5.0), "angles_deg"),
+        (roll(0.5, &[f64::NAN], 5.0), "angles_deg"),
+        (roll(0.5, &[10.0], 0.0), "hold_s"),
+        (sine(f64::NAN, 10.0), "speed_mps"),
     ] {
-        let error = read(text).expect_err(text).to_string();
-        assert!(error.contains(names), "{text}: {error}");
+        let error = mission.validated().expect_err(names).to_string();
+        assert!(error.contains(names), "{names}: {error}");
     }
+    for (mission, names) in [
+        (roll(2.0, &[10.0], 5.0), "above the robot's v_max = 1 m/s"),
+        (
+            roll(0.5, &[0.0, -21.0], 5.0),
+            "a roll of 21.0° is above the 20.0°",
+        ),
+        (sine(1.0, 30.0), "a roll of 30.0° is above the 20.0°"),
+    ] {
+        let error = Trajectory::new(&mission, &liu(), Pose::default()).expect_err(names);
+        assert!(error.to_string().contains(names), "{names}: {error}");
+    }
+}
+
+/// Direction experiments: what was typed, when it was typed.
+#[test]
+fn a_program_says_what_was_typed() {
+    let mission = Mission::Roll {
+        speed_mps: 0.5,
+        angles_deg: vec![0.0, 10.0, -5.0],
+        hold_s: 5.0,
+    };
+    let here = Pose {
+        x: 3.0,
+        ..Pose::default()
+    };
+    let steps = Trajectory::new(&mission, &liu(), here).expect("within limits");
+    let program = steps.program().expect("typed");
+    for (t, v, degrees) in [
+        (-0.1, 0.0, 0.0_f64),
+        (0.0, 0.5, 0.0),
+        (4.999, 0.5, 0.0),
+        (5.0, 0.5, 10.0),
+        (10.0, 0.5, -5.0),
+        (15.0, 0.0, 0.0),
+    ] {
+        assert_eq!(program.command(t), [v, degrees.to_radians()], "at {t} s");
+        assert_eq!(steps.reference(t).x, 3.0);
+    }
+    assert_eq!(steps.duration(), Some(15.0));
+    let first = program.first_step().expect("it has one");
+    assert_eq!((first.at, first.until), (5.0, 10.0));
+    assert_eq!((first.from, first.to), (0.0, 10_f64.to_radians()));
+
+    let sine = Mission::RollSine {
+        speed_mps: 0.5,
+        amplitude_deg: 10.0,
+        rate_radps: 0.15,
+        phase_rad: -0.015,
+    };
+    let sine = Trajectory::new(&sine, &liu(), here).expect("within limits");
+    let [v, q_r] = sine.program().expect("typed").command(10.0);
+    // Eq (21).
+    assert_eq!(v, 0.5);
+    assert!((q_r.to_degrees() - 10.0 * (0.15 * 10.0 - 0.015_f64).sin()).abs() < 1e-12);
+    assert_eq!(sine.duration(), None);
 }

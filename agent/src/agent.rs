@@ -27,7 +27,7 @@ use crate::control::hsmc::{Hsmc, SpeedShape};
 use crate::estimator::Estimator;
 use crate::gains::GainsError;
 use crate::mode::{Check, ModeMachine, Reason, Transition};
-use crate::plan::{NoPlan, Playback, reference_state};
+use crate::plan::{NoPlan, PlannedCommand, Playback, Shape, reference_state};
 use crate::reference::{Reference, roll_bound};
 
 /// What reaches an agent.
@@ -560,18 +560,23 @@ impl Agent {
         let dt = self.config.timing.control.as_secs_f64();
         let limits = &self.config.robot.limits;
         let (setpoint, torque) = if self.mode.is_armed() {
-            let setpoint = match planned {
-                Some([v_c, q_c]) => {
+            let (setpoint, shape) = match planned {
+                Some(mut command) => {
                     let bound = roll_bound(self.reference.v(), &self.config.robot.params, limits);
-                    self.reference
-                        .follow(v_c, q_c.clamp(-bound, bound), dt, limits)
+                    command.q_r = command.q_r.clamp(-bound, bound);
+                    if command.shape == Shape::Lag {
+                        let PlannedCommand { v, q_r, .. } = command;
+                        let setpoint = self.reference.follow(v, q_r, dt, limits);
+                        (setpoint, SpeedShape::default())
+                    } else {
+                        let filter = self.direction.step_filter();
+                        self.reference.follow_typed(&command, filter, dt)
+                    }
                 }
-                None => self.reference.brake(dt, limits),
+                None => (self.reference.brake(dt, limits), SpeedShape::default()),
             };
             let torque = Torque {
-                pitch: self
-                    .velocity
-                    .step(&state, &setpoint, SpeedShape::default(), dt),
+                pitch: self.velocity.step(&state, &setpoint, shape, dt),
                 roll: self.direction.step(&state, &setpoint, dt),
             };
             (setpoint, torque)
@@ -590,7 +595,7 @@ impl Agent {
         self.signals = Signals {
             state,
             setpoint,
-            command: planned,
+            command: planned.map(|command| [command.v, command.q_r]),
             torque,
             playing: playing.map(|plan| plan.id),
             plan_age: playing.map(|plan| now - plan.based_on),
@@ -602,7 +607,7 @@ impl Agent {
         &mut self,
         now: Instant<AgentClock>,
         state: &RobotState,
-    ) -> Option<[f64; 2]> {
+    ) -> Option<PlannedCommand> {
         if !self.mode.accepts_plans() {
             return None;
         }
@@ -612,7 +617,7 @@ impl Agent {
             Ok(command) => {
                 let transition = self.mode.on_plan();
                 self.report(transition);
-                Some([command.v, command.q_r])
+                Some(command)
             }
             Err(why) => {
                 let transition = self.mode.on_no_plan(Reason::PlanEnded(why));

@@ -28,6 +28,9 @@ pub trait DirectionController {
 
     /// What happened since the controller was built.
     fn counters(&self) -> Counters;
+
+    /// Bandwidth of the filter through which typed roll steps must reach it [rad/s]; `None`: it wants them as they are.
+    fn step_filter(&self) -> Option<f64>;
 }
 
 /// Rare events of a controller since it was built, in steps.

@@ -5,7 +5,7 @@
 
 use arrayvec::ArrayVec;
 use nalgebra::SVector;
-use sphere_protocol::message::{DropReason, PlanId, SetpointPlan};
+use sphere_protocol::message::{DropReason, PlanId, PlanSource, SetpointPlan};
 use sphere_protocol::robot::{Limits, RobotParams};
 use sphere_protocol::state::RobotState;
 use sphere_protocol::time::{AgentClock, Instant, Span};
@@ -33,6 +33,22 @@ pub struct PlannedCommand {
     pub v: f64,
     /// Roll command q_c, feedback included, within the limits [rad].
     pub q_r: f64,
+    /// What the reference makes of it.
+    pub shape: Shape,
+}
+
+/// How commands become references.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Shape {
+    /// Through the reference lag that the planner counts on.
+    Lag,
+    /// Typed steps, through the agent's own filters.
+    Steps,
+    /// A typed course: the roll is its own reference and moves at this rate [rad/s]; the speed as for `Steps`.
+    Course {
+        /// q̇_c [rad/s].
+        q_r_rate: f64,
+    },
 }
 
 /// Why no plan commands anything.
@@ -141,6 +157,21 @@ impl Playback {
             return Err(NoPlan::Expired);
         }
         let mut u = plan.u[knot].map(f64::from);
+        let shape = match plan.source {
+            PlanSource::Riccati | PlanSource::Clarabel | PlanSource::Shifted => Shape::Lag,
+            PlanSource::Steps => Shape::Steps,
+            PlanSource::Course => {
+                // Straight to the next knot's roll; on from the last one as before it.
+                let (from, to) = match plan.u.get(knot + 1) {
+                    Some(next) => (plan.u[knot], *next),
+                    None => (plan.u[knot.saturating_sub(1)], plan.u[knot]),
+                };
+                let rise = f64::from(to[1]) - f64::from(from[1]);
+                let q_r_rate = rise / plan.period.as_secs_f64();
+                u[1] += q_r_rate * Span::from_nanos(elapsed % period).as_secs_f64();
+                Shape::Course { q_r_rate }
+            }
+        };
         if let Some(gain) = plan.k.get(knot) {
             let into_knot = Span::from_nanos(elapsed % period).as_secs_f64();
             let x = SVector::from(plan.x[knot].map(f64::from));
@@ -156,6 +187,7 @@ impl Playback {
         Ok(PlannedCommand {
             v: u[0].clamp(limits.v_min, limits.v_max),
             q_r: u[1].clamp(-limits.q_r_max, limits.q_r_max),
+            shape,
         })
     }
 

@@ -1,20 +1,36 @@
-//! The reference that the torque controllers follow: commands (v_c, q_c) through the lag that the planner counts on, or the
-//! braking ramp to rest.
+//! The reference that the torque controllers follow: commands (v_c, q_c) through the lag that the planner counts on, typed ones
+//! through filters, or the braking ramp to rest.
 
 use sphere_protocol::robot::{Limits, RobotParams};
 use sphere_protocol::state::Setpoint;
+
+use crate::control::hsmc::SpeedShape;
+use crate::control::reference_filter::{RollFilter, SpeedFilter};
+use crate::plan::{PlannedCommand, Shape};
 
 /// References v_d and q_rd with their derivatives.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Reference {
     v: f64,
     q_r: f64,
+    /// While commands are typed.
+    filters: Option<Filters>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Filters {
+    speed: SpeedFilter,
+    roll: Option<RollFilter>,
 }
 
 impl Reference {
     /// A reference that begins at speed `v` [m/s] and roll `q_r` [rad].
     pub fn starting_at(v: f64, q_r: f64) -> Self {
-        Self { v, q_r }
+        Self {
+            v,
+            q_r,
+            filters: None,
+        }
     }
 
     /// Speed reference v_d [m/s].
@@ -32,6 +48,7 @@ impl Reference {
     ///
     /// The planner knows this lag: any other filter between its commands and the references ends in limit cycles.
     pub fn follow(&mut self, v_c: f64, q_c: f64, dt: f64, limits: &Limits) -> Setpoint {
+        self.filters = None;
         let tau = limits.reference_lag;
         let share = 1.0 - (-dt / tau).exp();
         self.v += ((v_c - self.v) * share).clamp(-limits.slew * dt, limits.slew * dt);
@@ -46,8 +63,43 @@ impl Reference {
         }
     }
 
+    /// Follows a typed `command` for `dt` [s]: the speed by the ramp and filter of [`SpeedFilter`], the roll by a [`RollFilter`] of
+    /// bandwidth `step_filter` [rad/s] or as it is. The second value is what the velocity controller may know beyond the setpoint.
+    pub fn follow_typed(
+        &mut self,
+        command: &PlannedCommand,
+        step_filter: Option<f64>,
+        dt: f64,
+    ) -> (Setpoint, SpeedShape) {
+        let (v, q_r) = (self.v, self.q_r);
+        let filters = self.filters.get_or_insert_with(|| Filters {
+            speed: SpeedFilter::new(v),
+            roll: step_filter.map(|w_ref| RollFilter::new(w_ref, q_r)),
+        });
+        let speed = filters.speed.step(command.v, dt);
+        let mut setpoint = Setpoint {
+            v: speed.v,
+            v_rate: speed.v_rate,
+            q_r: command.q_r,
+            ..Setpoint::default()
+        };
+        match (&mut filters.roll, command.shape) {
+            (_, Shape::Course { q_r_rate }) => setpoint.q_r_rate = q_r_rate,
+            (Some(filter), _) => {
+                let roll = filter.step(command.q_r, dt);
+                setpoint.q_r = roll.q_r;
+                setpoint.q_r_rate = roll.q_r_rate;
+                setpoint.q_r_accel = roll.q_r_accel;
+            }
+            (None, _) => {}
+        }
+        (self.v, self.q_r) = (setpoint.v, setpoint.q_r);
+        (setpoint, speed.shape)
+    }
+
     /// Brakes for `dt` [s]: the speed by the ramp `limits.brake` to zero, the roll by the lag.
     pub fn brake(&mut self, dt: f64, limits: &Limits) -> Setpoint {
+        self.filters = None;
         let step = limits.brake * dt;
         let v_rate = if self.v.abs() > step {
             -limits.brake.copysign(self.v)

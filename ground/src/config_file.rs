@@ -11,7 +11,7 @@ use sphere_protocol::document::shared::{Endpoints, LogFormat, endpoints, robot, 
 use sphere_protocol::document::table::{Range, Table, empty, refused, section};
 use sphere_protocol::time::{Instant, Span};
 
-pub use mission::{Kind, mission};
+pub use mission::mission;
 pub use planner::planner;
 
 use crate::settings::PlannerSettings;
@@ -63,7 +63,7 @@ fn station(text: &str, load: &mut dyn FnMut(&str) -> Result<String, String>) -> 
         let at = table.number("start_at_s", Range::within(0.0, LONGEST_S))?;
         robots.push(RobotConfig {
             id,
-            mission: mission(&table, &robot, &[])?.expect("no other kinds were let through"),
+            mission: mission(&table, &robot)?,
             start: at.map_or(StartCondition::Ready, |s| {
                 // The station's clock begins with it.
                 StartCondition::At(Instant::from_nanos(Span::from_secs_f64(s).as_nanos()))

@@ -13,7 +13,7 @@ use crate::kinematics::Discretisation;
 use crate::mpc::{FirstInput, Method, Mpc, Options, Problem, Solution, Status, terminal_weight};
 use crate::predictor::{ReferenceState, wrapped};
 use crate::settings::{KNOT, PlannerMode, PlannerSettings};
-use crate::trajectory::ReferencePoint;
+use crate::trajectory::{Program, ReferencePoint};
 
 /// Plans for one robot, each time from the last solution.
 pub struct Planner {
@@ -98,6 +98,32 @@ impl Planner {
             Formulation::Lag(lag) => lag.1.reset(),
             Formulation::Paper(paper) => paper.1.reset(),
         }
+    }
+
+    /// The commands of `program`, `t` seconds after its start, as a plan: nothing is optimised and nothing fed back.
+    pub fn typed(&self, beginning: &Beginning, program: &Program, t: f64) -> Knots {
+        let mut x = beginning.x;
+        let mut knots = Knots {
+            source: if program.is_smooth() {
+                PlanSource::Course
+            } else {
+                PlanSource::Steps
+            },
+            is_optimal: true,
+            u: ArrayVec::new(),
+            x: ArrayVec::new(),
+            k: ArrayVec::new(),
+        };
+        knots.x.push(x.map(|c| c as f32).into());
+        for i in 0..self.horizon {
+            // A step falls between knots; its own instant belongs to what follows it.
+            let into = if program.is_smooth() { 0.0 } else { 0.5 };
+            let u = program.command(t + KNOT * (i as f64 + into));
+            x = self.centre.step(&x, &u.into());
+            knots.u.push(u.map(|c| c as f32));
+            knots.x.push(x.map(|c| c as f32).into());
+        }
+        knots
     }
 
     /// Plans from `beginning` along `reference`, a function of the time since the plan's start [s].

@@ -48,6 +48,8 @@ pub struct Counters {
     pub clarabel: u64,
     /// The last plan again, because there was no new one.
     pub shifted: u64,
+    /// Typed commands.
+    pub typed: u64,
     /// Ticks without any plan although one was due: solver failed and nothing was left to send again.
     pub failed: u64,
     /// Ticks without a plan because telemetry was too old.
@@ -322,13 +324,14 @@ impl Session {
         if !was_under_way {
             out.push(Request::Event(Event::MissionStarted));
         }
-        match self.plan(start, epoch) {
+        match self.plan(self.on_grid(start), epoch) {
             Some(plan) => {
                 self.counters.plans_sent += 1;
                 match plan.source {
                     PlanSource::Riccati => self.counters.riccati += 1,
                     PlanSource::Clarabel => self.counters.clarabel += 1,
                     PlanSource::Shifted => self.counters.shifted += 1,
+                    PlanSource::Steps | PlanSource::Course => self.counters.typed += 1,
                 }
                 let arrival = self.link.arrival(now);
                 self.predictor.on_sent(plan.clone(), now, arrival);
@@ -353,6 +356,18 @@ impl Session {
             Some(last) => arrival.max(last.start),
             None => arrival,
         })
+    }
+
+    /// Knots of typed commands begin at whole knots of their mission: a step lies where it was typed, in every plan.
+    fn on_grid(&self, start: Instant<AgentClock>) -> Instant<AgentClock> {
+        match self.task.running() {
+            Some((trajectory, anchor)) if trajectory.program().is_some() => {
+                let knot = Span::from_secs_f64(KNOT).as_nanos();
+                let since = start.since(anchor).as_nanos().div_euclid(knot);
+                anchor + Span::from_nanos(since * knot)
+            }
+            _ => start,
+        }
     }
 
     /// Longest way from telemetry to a plan's start: beyond a horizon more would be guessed than planned.
@@ -383,9 +398,12 @@ impl Session {
             shift: (since_last / KNOT).round().max(0.0) as usize,
         };
         let mission_time = start.since(anchor).as_secs_f64();
-        let outcome = self
-            .planner
-            .plan(&beginning, |t| trajectory.reference(mission_time + t));
+        let outcome = match trajectory.program() {
+            Some(program) => Ok(self.planner.typed(&beginning, program, mission_time)),
+            None => self
+                .planner
+                .plan(&beginning, |t| trajectory.reference(mission_time + t)),
+        };
         let id = PlanId {
             epoch,
             seq: last.map_or(1, |last| last.id.seq.saturating_add(1)),

@@ -7,6 +7,7 @@
 
 mod flat;
 mod mission;
+mod program;
 mod waypoints;
 
 use sphere_protocol::robot::Robot;
@@ -14,6 +15,7 @@ use sphere_protocol::robot::Robot;
 use crate::jet::Jet;
 use flat::{ORDERS, along_centre};
 pub use mission::{Mission, MissionError};
+pub use program::{Program, Step};
 pub use waypoints::Waypoints;
 
 /// A pose of the sphere's centre in the world.
@@ -72,6 +74,13 @@ pub enum Trajectory {
     },
     /// From point to point and then at rest.
     Waypoints(Waypoints),
+    /// Typed commands; where they lead is where they lead.
+    Program {
+        /// Speed and roll by the clock.
+        program: Program,
+        /// Where the robot was when they began.
+        begin: Pose,
+    },
     /// At rest at one pose.
     Hold(Pose),
 }
@@ -122,6 +131,40 @@ impl Trajectory {
                 mission.clone().validated()?;
                 Self::Waypoints(Waypoints::new(points_m, *speed_mps, robot)?)
             }
+            Mission::Roll {
+                speed_mps,
+                angles_deg,
+                hold_s,
+            } => {
+                mission.clone().validated()?;
+                let program = Program::Steps {
+                    speed: *speed_mps,
+                    angles: angles_deg.iter().map(|angle| angle.to_radians()).collect(),
+                    hold: *hold_s,
+                };
+                Self::Program {
+                    program: program.within_limits(robot)?,
+                    begin: here,
+                }
+            }
+            Mission::RollSine {
+                speed_mps,
+                amplitude_deg,
+                rate_radps,
+                phase_rad,
+            } => {
+                mission.clone().validated()?;
+                let program = Program::Sine {
+                    speed: *speed_mps,
+                    amplitude: amplitude_deg.to_radians(),
+                    rate: *rate_radps,
+                    phase: *phase_rad,
+                };
+                Self::Program {
+                    program: program.within_limits(robot)?,
+                    begin: here,
+                }
+            }
             Mission::Hold => Self::Hold(here),
         })
     }
@@ -162,7 +205,23 @@ impl Trajectory {
                 }
             }
             Self::Waypoints(waypoints) => waypoints.reference(t),
+            Self::Program { program, begin } => {
+                let [v, q_r] = program.command(t);
+                ReferencePoint {
+                    v,
+                    q_r,
+                    ..ReferencePoint::at_rest(*begin)
+                }
+            }
             Self::Hold(pose) => ReferencePoint::at_rest(*pose),
+        }
+    }
+
+    /// The typed commands, if that is what it is: then the pose of its reference means nothing.
+    pub fn program(&self) -> Option<&Program> {
+        match self {
+            Self::Program { program, .. } => Some(program),
+            _ => None,
         }
     }
 
@@ -185,6 +244,7 @@ impl Trajectory {
     pub fn duration(&self) -> Option<f64> {
         match self {
             Self::Waypoints(waypoints) => Some(waypoints.duration()),
+            Self::Program { program, .. } => program.duration(),
             Self::Hold(_) => Some(0.0),
             _ => None,
         }

@@ -158,6 +158,19 @@ pub enum PlanSource {
     Clarabel = 1,
     /// The solver failed: the last plan again, with its own `based_on`, knots and end of validity.
     Shifted = 2,
+    /// Typed commands, each held over its knot: the agent makes smooth references of their steps with filters of its own, in place
+    /// of the reference lag. No feedback.
+    Steps = 3,
+    /// Typed commands of a smooth course: the roll goes straight from each knot's to the next one's and is followed as it is, the
+    /// speed as for `Steps`. No feedback.
+    Course = 4,
+}
+
+impl PlanSource {
+    /// Whether commands were typed rather than planned.
+    pub fn is_typed(self) -> bool {
+        matches!(self, Self::Steps | Self::Course)
+    }
 }
 
 /// Station to robot: one order to the mode machine. Repeated by the station until telemetry names its number.

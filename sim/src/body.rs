@@ -13,7 +13,7 @@ use sphere_protocol::time::{BoardClock, Instant, Span};
 
 use crate::actuator::{Actuator, MotorBoard};
 use crate::disturbance::Disturbance;
-use crate::plant::{Plant, PlantState};
+use crate::plant::{Accelerations, Plant, PlantState};
 use crate::sensor::{PositionSource, Sensors};
 
 /// Step of the plant's integration.
@@ -56,6 +56,8 @@ pub struct Body {
     samples: u32,
     newest_command: Option<u32>,
     refused_commands: u64,
+    /// Held in a cradle until its motors move it for the first time.
+    held: bool,
 }
 
 /// The random streams of a body, one for each purpose.
@@ -101,7 +103,8 @@ pub fn stream(seed: u64, robot: usize, purpose: Purpose) -> ChaCha8Rng {
 }
 
 impl Body {
-    /// A robot at rest, its pendulum hanging.
+    /// A robot at rest, its pendulum hanging, in a cradle that holds it until the first torque: an unbalanced shell would otherwise
+    /// roll away while the estimator settles, and nobody starts a robot so.
     pub fn new(setup: BodySetup, random: BodyRandom) -> Self {
         let [x, y, heading] = setup.start;
         let robot = RobotState {
@@ -125,6 +128,7 @@ impl Body {
             samples: 0,
             newest_command: None,
             refused_commands: 0,
+            held: true,
         }
     }
 
@@ -134,8 +138,11 @@ impl Body {
         while (self.steps + 1) * STEP.as_nanos() <= elapsed.as_nanos() {
             let command = self.board.torque(self.board_now());
             let torque = self.actuator.step(command);
-            let around = self.surroundings();
-            self.state = self.plant.step(&self.state, torque, &around, dt);
+            self.held &= torque == Torque::default();
+            if !self.held {
+                let around = self.surroundings();
+                self.state = self.plant.step(&self.state, torque, &around, dt);
+            }
             self.steps += 1;
         }
     }
@@ -163,9 +170,12 @@ impl Body {
     /// One sensor frame, sampled now; `None` if the plant's state is beyond what a frame can carry.
     pub fn sense(&mut self) -> Option<Frame> {
         let around = self.surroundings();
-        let accelerations = self
-            .plant
-            .accelerations(&self.state, self.actuator.torque(), &around);
+        let accelerations = if self.held {
+            Accelerations::default()
+        } else {
+            self.plant
+                .accelerations(&self.state, self.actuator.torque(), &around)
+        };
         let imu = self.plant.imu(&self.state, &accelerations, &around);
         let now = self.board_now();
         let status = self.board.status(now);

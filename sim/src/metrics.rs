@@ -46,6 +46,8 @@ pub struct RollStep {
     pub from: f64,
     /// Roll after [rad].
     pub to: f64,
+    /// When the roll is next changed, or the experiment ends; `None` = not.
+    pub until: Option<Span>,
 }
 
 /// How often each source made a plan.
@@ -339,7 +341,9 @@ fn time_in_mode(rows: &[&Row]) -> BTreeMap<&'static str, f64> {
 /// Rise and settling time of the true roll [s].
 fn step_times(rows: &[&Row], step: RollStep) -> (Option<f64>, Option<f64>) {
     const BAND: f64 = core::f64::consts::PI / 180.0;
-    let after = &rows[rows.partition_point(|row| row.t < step.at)..];
+    let before = |t: Span| rows.partition_point(|row| row.t < t);
+    let last = step.until.map_or(rows.len(), before);
+    let after = &rows[before(step.at).min(last)..last];
     let time = |row: &&Row| (row.t - step.at).as_secs_f64();
     let reached = |row: &&&Row| (row.truth.q_r - step.to) * (step.to - step.from).signum() >= 0.0;
     let outside = |row: &&Row| (row.truth.q_r - step.to).abs() > BAND;

@@ -11,7 +11,7 @@ use sphere_protocol::robot::RobotId;
 use sphere_protocol::time::Span;
 use thiserror::Error;
 
-use crate::metrics::{heading_error, position_error};
+use crate::metrics::{heading_error, position_error, roll_error};
 use crate::trace::{MODES, ROW_PERIOD, Row, Trace, mode_name};
 use figure::{
     AMBER, BLUE, Band, Figure, GREEN, GREY, INK, Key, Line, ORANGE, PINK, Panel, SKY, tidy,
@@ -82,6 +82,9 @@ pub fn robot_plots(rows: &[&Row], subject: Subject<'_>) -> Result<Vec<Plot>, Plo
 /// Distance from the reference over six decades, then its parts and the heading error as they are once settled.
 fn errors(rows: &[&Row], subject: Subject<'_>) -> Result<String, PlotError> {
     let settled = subject.settled.map_or(f64::INFINITY, Span::as_secs_f64);
+    if !rows.iter().any(|row| position_error(row).is_some()) {
+        return roll_errors(rows, subject, settled);
+    }
     let logarithm = |row: &Row| position_error(row).map(|error| error.max(1e-4).log10());
     let distance = series(rows, logarithm);
     let top = distance
@@ -141,6 +144,23 @@ fn errors(rows: &[&Row], subject: Subject<'_>) -> Result<String, PlotError> {
                 ..panel("Heading error [°]", 150)
             },
         ],
+    }
+    .svg()
+}
+
+/// What there is without a path: the roll's error.
+fn roll_errors(rows: &[&Row], subject: Subject<'_>, settled: f64) -> Result<String, PlotError> {
+    let roll = series(rows, |row| roll_error(row).map(f64::to_degrees));
+    Figure {
+        title: title(subject, "roll error"),
+        time: time(rows),
+        panels: vec![Panel {
+            range: symmetric(&[&roll], 1.0),
+            bands: approach(rows, settled),
+            lines: vec![line("true − typed", BLUE, roll)],
+            keys: settling_key(settled),
+            ..panel("Roll error [°]", 260)
+        }],
     }
     .svg()
 }

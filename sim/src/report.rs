@@ -92,7 +92,12 @@ fn sentence(metrics: &RunMetrics) -> String {
         .filter_map(|robot| Some((robot.position_rmse_m?, &robot.id)))
         .max_by(|a, b| a.0.total_cmp(&b.0));
     let tracking = match worst {
-        None => format!("{robots}, none of which followed a path long enough to be scored"),
+        None => match worst_roll(metrics) {
+            Some((rmse, id)) => {
+                format!("{robots}, roll within {rmse:.2}° of what was typed (RMS, {id})")
+            }
+            None => format!("{robots}, none of which followed a path long enough to be scored"),
+        },
         Some((rmse, _)) if metrics.robots.len() == 1 => {
             format!("{robots}, {} mm from the path (RMS)", millimetres(rmse))
         }
@@ -110,6 +115,14 @@ fn sentence(metrics: &RunMetrics) -> String {
     }
 }
 
+/// Largest roll error of the robots, and whose.
+fn worst_roll(metrics: &RunMetrics) -> Option<(f64, &str)> {
+    let errors = metrics.robots.iter();
+    errors
+        .filter_map(|robot| Some((robot.roll_rmse_deg?, robot.id.as_str())))
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+}
+
 fn line(robot: &RobotMetrics) -> [String; HEADER.len()] {
     [
         robot.id.clone(),
@@ -122,6 +135,7 @@ fn line(robot: &RobotMetrics) -> [String; HEADER.len()] {
         figure(robot.plan_age_p50_s, milliseconds),
         figure(robot.plan_age_p99_s, milliseconds),
         figure(robot.min_separation_m, |metres| format!("{metres:.2}")),
+        figure(robot.roll_rmse_deg, |degrees| format!("{degrees:.2}")),
         modes(robot),
     ]
 }
@@ -163,7 +177,7 @@ fn count(number: usize, one: &str, many: &str) -> String {
     format!("{number} {}", if number == 1 { one } else { many })
 }
 
-const HEADER: [&str; 9] = [
+const HEADER: [&str; 10] = [
     "robot",
     "RMSE mm",
     "max mm",
@@ -172,6 +186,7 @@ const HEADER: [&str; 9] = [
     "age p50 ms",
     "p99 ms",
     "nearest m",
+    "roll °",
     "modes",
 ];
 /// Violations shown one by one.

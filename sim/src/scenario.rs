@@ -6,14 +6,14 @@
 //!
 //! ```
 //! use sphere_ground::trajectory::Mission;
-//! use sphere_sim::scenario::{MissionSetup, Scenario};
+//! use sphere_sim::scenario::Scenario;
 //!
 //! let text = "environment = 'calibrated'\n[[robots]]\nid = 'r1'\nmission = { kind = 'sine' }";
 //! let no_files = |path: &str| Err(format!("no file {path}"));
 //! let scenario = Scenario::parse("demo.toml", text, &["network.delay_ms=200".to_owned()], no_files)?;
 //! assert_eq!(scenario.network.up.delay().as_secs_f64(), 0.2);
 //! assert_eq!(scenario.robots[0].plant.coulomb, 0.5);
-//! assert_eq!(scenario.robots[0].mission, MissionSetup::Path(Mission::Sine));
+//! assert_eq!(scenario.robots[0].mission, Mission::Sine);
 //! # Ok::<(), sphere_sim::scenario::ScenarioError>(())
 //! ```
 
@@ -164,7 +164,7 @@ pub struct RobotSetup {
     /// What pushes it about.
     pub disturbance: Disturbance,
     /// What it is to do. Default hold.
-    pub mission: MissionSetup,
+    pub mission: Mission,
 }
 
 /// A robot file together with the name under which the scenario refers to it.
@@ -205,22 +205,6 @@ pub struct Push {
     pub roll_nm: f64,
     /// Length [s].
     pub for_s: f64,
-}
-
-/// What a robot is to do.
-#[derive(Clone, Debug, PartialEq)]
-pub enum MissionSetup {
-    /// A mission of the station.
-    Path(Mission),
-    /// A direction experiment: constant speed, typed roll angles, no planner.
-    Roll {
-        /// Speed [m/s].
-        speed_mps: f64,
-        /// Roll angles one after the other [°]; at least one.
-        angles_deg: Vec<f64>,
-        /// How long each is held [s].
-        hold_s: f64,
-    },
 }
 
 impl Scenario {

@@ -18,7 +18,7 @@ use sphere_ground::station::{
     StationConfig,
 };
 use sphere_ground::tasking::StartCondition;
-use sphere_ground::trajectory::{Mission, ReferencePoint};
+use sphere_ground::trajectory::{ReferencePoint, Trajectory};
 use sphere_protocol::key::Key;
 use sphere_protocol::message::PlanId;
 use sphere_protocol::robot::RobotId;
@@ -26,9 +26,9 @@ use sphere_protocol::time::{AgentClock, GroundClock, Instant, Span};
 
 use crate::body::{BOARD_HEARTBEAT, Body, BodyRandom, BodySetup, Purpose, stream};
 use crate::disturbance::{Disturbance, Push};
-use crate::metrics::{RobotRecord, SolverCounts};
+use crate::metrics::{RobotRecord, RollStep, SolverCounts};
 use crate::network::{Link, LinkModel};
-use crate::scenario::{self, Loss, MissionSetup, RobotSetup, RollController, Scenario};
+use crate::scenario::{self, Loss, RobotSetup, RollController, Scenario};
 use crate::sensor::Sensors;
 use crate::trace::{Command, ROW_PERIOD, Reference, Row, Trace};
 
@@ -92,6 +92,7 @@ struct SimRobot {
     down: Link,
     fix_period: Option<Span>,
     mission_started: Option<WorldTime>,
+    roll_step: Option<RollStep>,
     newest_plan: Option<PlanId>,
     loop_delays: Vec<Span>,
 }
@@ -437,13 +438,18 @@ impl World {
                 cell.mission_started
                     .get_or_insert_with(|| Span::from_nanos(anchor.as_nanos()) - cell.clock);
                 let t = (agent_now - anchor).as_secs_f64();
-                // Errors count from the path as the mission states it, not from the planner's drivable form of it.
-                let [x, y] = trajectory.nominal(t);
-                Reference::from(ReferencePoint {
-                    x,
-                    y,
-                    ..trajectory.reference(t)
-                })
+                if let Some(program) = trajectory.program()
+                    && let Some(step) = program.first_step()
+                {
+                    let begin = Span::from_nanos(anchor.as_nanos()) - cell.clock;
+                    cell.roll_step.get_or_insert(RollStep {
+                        at: begin + Span::from_secs_f64(step.at),
+                        from: step.from,
+                        to: step.to,
+                        until: Some(begin + Span::from_secs_f64(step.until)),
+                    });
+                }
+                reference(trajectory, t)
             });
             let playback = cell.agent.playback();
             if playback.newest() != cell.newest_plan {
@@ -481,7 +487,7 @@ impl World {
                 RobotRecord {
                     robot: cell.id,
                     mission_start: cell.mission_started,
-                    roll_step: None,
+                    roll_step: cell.roll_step,
                     plans_sent: counters.plans_sent,
                     plans_adopted: cell.agent.playback().begun(),
                     loop_delays: cell.loop_delays.clone(),
@@ -546,10 +552,26 @@ impl SimRobot {
             down: link(&scenario.network.down, Purpose::LinkDown),
             fix_period: scenario.sensing.fix_period(),
             mission_started: None,
+            roll_step: None,
             newest_plan: None,
             loop_delays: Vec::new(),
         })
     }
+}
+
+/// What `trajectory` asks for `t` seconds after its start, for the trace.
+pub(crate) fn reference(trajectory: &Trajectory, t: f64) -> Reference {
+    let point = trajectory.reference(t);
+    if trajectory.program().is_some() {
+        return Reference {
+            pose: None,
+            v: point.v,
+            q_r: point.q_r,
+        };
+    }
+    // Errors count from the path as the mission states it, not from the planner's drivable form of it.
+    let [x, y] = trajectory.nominal(t);
+    Reference::from(ReferencePoint { x, y, ..point })
 }
 
 /// The station of `scenario`, under the identity `station`.
@@ -563,10 +585,7 @@ pub(crate) fn station_config(scenario: &Scenario, station: u64) -> StationConfig
             .map(|setup| RobotConfig {
                 id: setup.id,
                 robot: setup.model.robot.clone(),
-                mission: match &setup.mission {
-                    MissionSetup::Path(mission) => mission.clone(),
-                    MissionSetup::Roll { .. } => Mission::Hold,
-                },
+                mission: setup.mission.clone(),
                 start: StartCondition::Ready,
             })
             .collect(),

@@ -156,6 +156,10 @@ impl DirectionController for Htsmc {
     fn counters(&self) -> Counters {
         self.counters
     }
+
+    fn step_filter(&self) -> Option<f64> {
+        Some(self.gains.w_ref)
+    }
 }
 
 /// Steps the roll observer: the momentum that no torque changes, and the shell's rolling rate v/R.

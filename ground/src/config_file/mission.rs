@@ -8,23 +8,21 @@ use sphere_protocol::robot::Robot;
 use crate::trajectory::{Mission, Pose, Trajectory};
 
 /// A kind of mission and the keys that it takes.
-pub type Kind = (&'static str, &'static [&'static str]);
+type Kind = (&'static str, &'static [&'static str]);
 
-/// What `robot` is to do: the table `mission` of `table`, to hold where it has none. `None` for a kind that the file's format has
-/// besides, in `others`; only its keys were looked at.
+/// What `robot` is to do: the table `mission` of `table`, to hold where it has none.
 ///
 /// # Errors
 /// An unknown kind or key, a number outside its range, or a path that this robot cannot drive.
-pub fn mission(table: &Table<'_>, robot: &Robot, others: &[Kind]) -> Read<Option<Mission>> {
+pub fn mission(table: &Table<'_>, robot: &Robot) -> Read<Mission> {
     let Some((node, path)) = table.node("mission") else {
-        return Ok(Some(Mission::Hold));
+        return Ok(Mission::Hold);
     };
     if let Value::Text(kind) = &node.value {
         let why = format!("it must be a table: write {{ kind = {} }}", quoted(kind));
         return Err(refused(node, &path, why));
     }
-    let kinds: Vec<Kind> = MISSIONS.iter().chain(others).copied().collect();
-    let all: Vec<_> = kinds
+    let all: Vec<_> = MISSIONS
         .iter()
         .flat_map(|(_, keys)| *keys)
         .chain(&["kind"])
@@ -34,9 +32,9 @@ pub fn mission(table: &Table<'_>, robot: &Robot, others: &[Kind]) -> Read<Option
     let kind = any
         .text("kind")?
         .ok_or_else(|| any.missing("kind", "kind = \"lemniscate\""))?;
-    let Some((_, keys)) = kinds.iter().find(|(name, _)| *name == kind) else {
+    let Some((_, keys)) = MISSIONS.iter().find(|(name, _)| *name == kind) else {
         let (node, path) = any.node("kind").expect("it was read");
-        let known = kinds.iter().map(|(name, _)| *name);
+        let known = MISSIONS.iter().map(|(name, _)| *name);
         return Err(unknown_name(node, &path, "mission", known));
     };
     for key in all
@@ -53,9 +51,6 @@ pub fn mission(table: &Table<'_>, robot: &Robot, others: &[Kind]) -> Read<Option
             return Err(refused(node, &path, why));
         }
     }
-    if others.iter().any(|(name, _)| *name == kind) {
-        return Ok(None);
-    }
     let v_max = robot.limits.v_max;
     let speed = || any.required_number("speed_mps", Range::positive(v_max), SPEED_EXAMPLE);
     let mission = match kind {
@@ -70,13 +65,31 @@ pub fn mission(table: &Table<'_>, robot: &Robot, others: &[Kind]) -> Read<Option
             points_m: points(&any)?,
             speed_mps: speed()?,
         },
+        "roll" => Mission::Roll {
+            speed_mps: any.required_number(
+                "speed_mps",
+                Range::within(0.0, v_max),
+                SPEED_EXAMPLE,
+            )?,
+            angles_deg: angles(&any)?,
+            hold_s: any.number_or("hold_s", HOLD, 5.0)?,
+        },
+        "roll-sine" => Mission::RollSine {
+            speed_mps: any.required_number(
+                "speed_mps",
+                Range::within(0.0, v_max),
+                SPEED_EXAMPLE,
+            )?,
+            amplitude_deg: any.required_number("amplitude_deg", ANGLE, "amplitude_deg = 10.0")?,
+            rate_radps: any.required_number("rate_radps", RATE, "rate_radps = 0.15")?,
+            phase_rad: any.number_or("phase_rad", Range::within(-1e3, 1e3), 0.0)?,
+        },
         _ => Mission::Hold,
     };
     // What only the whole path shows: too tight a turn, points too close to each other.
     mission
         .validated()
         .and_then(|mission| Trajectory::new(&mission, robot, Pose::default()).map(|_| mission))
-        .map(Some)
         .map_err(|error| refused(node, &path, error.to_string()))
 }
 
@@ -97,6 +110,18 @@ fn points(mission: &Table<'_>) -> Read<Vec<[f64; 2]>> {
     Ok(points)
 }
 
+fn angles(mission: &Table<'_>) -> Read<Vec<f64>> {
+    let angles: Vec<f64> = mission
+        .list("angles_deg")?
+        .into_iter()
+        .map(|(node, path)| number_of(node, &path, ANGLE))
+        .collect::<Read<_>>()?;
+    if angles.is_empty() {
+        return Err(mission.missing("angles_deg", "angles_deg = [0.0, 10.0]"));
+    }
+    Ok(angles)
+}
+
 /// Every kind of mission with the keys it takes.
 const MISSIONS: &[Kind] = &[
     ("hold", &[]),
@@ -105,8 +130,19 @@ const MISSIONS: &[Kind] = &[
     ("lemniscate", &[]),
     ("circle", &["radius_m", "speed_mps"]),
     ("waypoints", &["points_m", "speed_mps"]),
+    ("roll", &["speed_mps", "angles_deg", "hold_s"]),
+    (
+        "roll-sine",
+        &["speed_mps", "amplitude_deg", "rate_radps", "phase_rad"],
+    ),
 ];
 
 /// World coordinates [m]: farther out a nanometre no longer fits an f64.
 const POSITION: Range = Range::within(-1e6, 1e6);
+/// Typed roll angles [°]; the robot's own limits are asked once all is read.
+const ANGLE: Range = Range::within(-90.0, 90.0);
+/// How long one is held [s].
+const HOLD: Range = Range::within(0.1, 1e6);
+/// Angular frequency of a typed sine [rad/s]: above it the robot cannot follow.
+const RATE: Range = Range::positive(10.0);
 const SPEED_EXAMPLE: &str = "speed_mps = 0.5";

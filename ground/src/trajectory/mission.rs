@@ -1,13 +1,11 @@
 //! What a robot is asked to do, as scenario files and the command line state it.
 
-use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// One robot's mission: `{ kind = "lemniscate" }`, `{ kind = "circle", radius_m = 3.0, speed_mps = 0.5 }`, ...
 ///
 /// Valid by construction when it comes from a file: speeds and radii are positive and finite, waypoints at least two, each distinct from the one before.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "MissionFile", into = "MissionFile")]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Mission {
     /// The paper's line.
     Line,
@@ -29,6 +27,26 @@ pub enum Mission {
         /// Speed between the ramps at both ends [m/s].
         speed_mps: f64,
     },
+    /// A direction experiment: typed roll angles one after the other, without a path.
+    Roll {
+        /// Speed [m/s].
+        speed_mps: f64,
+        /// The angles, at least one [°].
+        angles_deg: Vec<f64>,
+        /// How long each is held [s].
+        hold_s: f64,
+    },
+    /// A direction experiment: the roll as a sine of time, without a path, eq (21).
+    RollSine {
+        /// Speed [m/s].
+        speed_mps: f64,
+        /// Amplitude [°].
+        amplitude_deg: f64,
+        /// Angular frequency [rad/s].
+        rate_radps: f64,
+        /// Phase at the start [rad].
+        phase_rad: f64,
+    },
     /// Stay at rest where the robot is.
     Hold,
 }
@@ -36,22 +54,6 @@ pub enum Mission {
 /// Why a mission cannot be.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum MissionError {
-    /// A key that this kind of mission needs.
-    #[error("mission `{kind}` needs `{key}`")]
-    Missing {
-        /// The mission's kind.
-        kind: &'static str,
-        /// The missing key.
-        key: &'static str,
-    },
-    /// A key that means nothing for this kind of mission.
-    #[error("mission `{kind}` has no `{key}`: remove it")]
-    Surplus {
-        /// The mission's kind.
-        kind: &'static str,
-        /// The surplus key.
-        key: &'static str,
-    },
     /// A value that must be positive and finite.
     #[error("mission `{kind}`: {key} = {value} must be positive")]
     NotPositive {
@@ -61,6 +63,24 @@ pub enum MissionError {
         key: &'static str,
         /// The value.
         value: f64,
+    },
+    /// A value that must be a number.
+    #[error("mission `{kind}`: {key} is not a finite number of the kind it must be: correct it")]
+    NotPossible {
+        /// The mission's kind.
+        kind: &'static str,
+        /// Which value.
+        key: &'static str,
+    },
+    /// More roll than the robot may have at this speed.
+    #[error(
+        "a roll of {angle_deg:.1}° is above the {angle_max_deg:.1}° that this robot may have at this speed: lower it, or the speed"
+    )]
+    TooFarOver {
+        /// The mission's largest angle [°].
+        angle_deg: f64,
+        /// The largest possible one [°].
+        angle_max_deg: f64,
     },
     /// Too few waypoints.
     #[error("mission `waypoints` has {0} points: it needs at least 2")]
@@ -96,30 +116,6 @@ pub enum MissionError {
     },
 }
 
-/// A mission as a file has it, before validation.
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct MissionFile {
-    kind: Kind,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    radius_m: Option<f64>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    speed_mps: Option<f64>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    points_m: Option<Vec<[f64; 2]>>,
-}
-
-#[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-enum Kind {
-    Line,
-    Sine,
-    Lemniscate,
-    Circle,
-    Waypoints,
-    Hold,
-}
-
 impl Mission {
     /// This mission if a robot can have it.
     ///
@@ -133,6 +129,13 @@ impl Mission {
                 Err(MissionError::NotPositive { kind, key, value })
             }
         };
+        let finite = |kind, key, is_possible: bool| {
+            if is_possible {
+                Ok(())
+            } else {
+                Err(MissionError::NotPossible { kind, key })
+            }
+        };
         match &self {
             Self::Line | Self::Sine | Self::Lemniscate | Self::Hold => {}
             Self::Circle {
@@ -141,6 +144,35 @@ impl Mission {
             } => {
                 positive("circle", "radius_m", *radius_m)?;
                 positive("circle", "speed_mps", *speed_mps)?;
+            }
+            Self::Roll {
+                speed_mps,
+                angles_deg,
+                hold_s,
+            } => {
+                finite(
+                    "roll",
+                    "speed_mps",
+                    *speed_mps >= 0.0 && speed_mps.is_finite(),
+                )?;
+                positive("roll", "hold_s", *hold_s)?;
+                let is_list = !angles_deg.is_empty() && angles_deg.iter().all(|a| a.is_finite());
+                finite("roll", "angles_deg", is_list)?;
+            }
+            Self::RollSine {
+                speed_mps,
+                amplitude_deg,
+                rate_radps,
+                phase_rad,
+            } => {
+                finite(
+                    "roll-sine",
+                    "speed_mps",
+                    *speed_mps >= 0.0 && speed_mps.is_finite(),
+                )?;
+                positive("roll-sine", "rate_radps", *rate_radps)?;
+                finite("roll-sine", "amplitude_deg", amplitude_deg.is_finite())?;
+                finite("roll-sine", "phase_rad", phase_rad.is_finite())?;
             }
             Self::Waypoints {
                 points_m,
@@ -165,91 +197,17 @@ impl Mission {
         }
         Ok(self)
     }
-}
 
-impl TryFrom<MissionFile> for Mission {
-    type Error = MissionError;
-    fn try_from(file: MissionFile) -> Result<Self, MissionError> {
-        let kind = file.kind.name();
-        let surplus = |key, present| {
-            if present {
-                Err(MissionError::Surplus { kind, key })
-            } else {
-                Ok(())
-            }
-        };
-        let need = |key, value: Option<f64>| value.ok_or(MissionError::Missing { kind, key });
-        if file.kind != Kind::Circle {
-            surplus("radius_m", file.radius_m.is_some())?;
-        }
-        if file.kind != Kind::Waypoints {
-            surplus("points_m", file.points_m.is_some())?;
-        }
-        if !matches!(file.kind, Kind::Circle | Kind::Waypoints) {
-            surplus("speed_mps", file.speed_mps.is_some())?;
-        }
-        match file.kind {
-            Kind::Line => Self::Line,
-            Kind::Sine => Self::Sine,
-            Kind::Lemniscate => Self::Lemniscate,
-            Kind::Hold => Self::Hold,
-            Kind::Circle => Self::Circle {
-                radius_m: need("radius_m", file.radius_m)?,
-                speed_mps: need("speed_mps", file.speed_mps)?,
-            },
-            Kind::Waypoints => Self::Waypoints {
-                points_m: file.points_m.ok_or(MissionError::Missing {
-                    kind,
-                    key: "points_m",
-                })?,
-                speed_mps: need("speed_mps", file.speed_mps)?,
-            },
-        }
-        .validated()
-    }
-}
-
-impl From<Mission> for MissionFile {
-    fn from(mission: Mission) -> Self {
-        let bare = |kind| Self {
-            kind,
-            radius_m: None,
-            speed_mps: None,
-            points_m: None,
-        };
-        match mission {
-            Mission::Line => bare(Kind::Line),
-            Mission::Sine => bare(Kind::Sine),
-            Mission::Lemniscate => bare(Kind::Lemniscate),
-            Mission::Hold => bare(Kind::Hold),
-            Mission::Circle {
-                radius_m,
-                speed_mps,
-            } => Self {
-                radius_m: Some(radius_m),
-                speed_mps: Some(speed_mps),
-                ..bare(Kind::Circle)
-            },
-            Mission::Waypoints {
-                points_m,
-                speed_mps,
-            } => Self {
-                points_m: Some(points_m),
-                speed_mps: Some(speed_mps),
-                ..bare(Kind::Waypoints)
-            },
-        }
-    }
-}
-
-impl Kind {
-    fn name(self) -> &'static str {
+    /// What files and tables call it.
+    pub fn kind(&self) -> &'static str {
         match self {
             Self::Line => "line",
             Self::Sine => "sine",
             Self::Lemniscate => "lemniscate",
-            Self::Circle => "circle",
-            Self::Waypoints => "waypoints",
+            Self::Circle { .. } => "circle",
+            Self::Waypoints { .. } => "waypoints",
+            Self::Roll { .. } => "roll",
+            Self::RollSine { .. } => "roll-sine",
             Self::Hold => "hold",
         }
     }

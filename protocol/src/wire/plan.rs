@@ -149,8 +149,10 @@ impl Wire for SetpointPlan {
 
 const NS_PER_MS: i64 = 1_000_000;
 
-const SOURCES: [PlanSource; 3] = [
+const SOURCES: [PlanSource; 5] = [
     PlanSource::Riccati,
     PlanSource::Clarabel,
     PlanSource::Shifted,
+    PlanSource::Steps,
+    PlanSource::Course,
 ];

@@ -12,7 +12,7 @@ use sphere_ground::run::{Running, Setup as StationSetup, Watch};
 use sphere_ground::session::Counters as StationCounters;
 use sphere_ground::station::Order;
 use sphere_ground::tasking::StartCondition;
-use sphere_ground::trajectory::{ReferencePoint, Trajectory};
+use sphere_ground::trajectory::Trajectory;
 use sphere_protocol::io::bus::Role;
 use sphere_protocol::message::{Mode, PlanId};
 use sphere_protocol::robot::RobotId;
@@ -26,7 +26,7 @@ use crate::live::{Mirror, Pace, PlantSetup, Plants, Truth, Truths, link_pair, pl
 use crate::metrics::{RobotRecord, SolverCounts};
 use crate::network::LinkModel;
 use crate::relay::{Direction, Relay};
-use crate::scenario::{Link, Loss, MissionSetup, Scenario};
+use crate::scenario::{Link, Loss, Scenario};
 use crate::trace::{Command, Reference, Row};
 use crate::world::{agent_config, station_config};
 
@@ -118,7 +118,7 @@ impl Fleet {
             ));
             robots.push(LiveRobot {
                 id: setup.id,
-                mission: mission_name(&setup.mission),
+                mission: setup.mission.kind(),
                 truths: plants.truths()[index].clone(),
                 watch,
                 relay,
@@ -339,14 +339,7 @@ impl LiveRobot {
                 let agent_now = Instant::from_nanos(nanos_since(truth.at, zero));
                 let into = agent_now.since(*anchor);
                 self.mission_start.get_or_insert(truth.elapsed - into);
-                // Errors count from the path as the mission states it, not from the planner's drivable form of it.
-                let seconds = into.as_secs_f64();
-                let [x, y] = trajectory.nominal(seconds);
-                Reference::from(ReferencePoint {
-                    x,
-                    y,
-                    ..trajectory.reference(seconds)
-                })
+                crate::world::reference(trajectory, into.as_secs_f64())
             });
         SceneRobot {
             row: row(t, self.id, &truth, &shown, reference),
@@ -464,19 +457,6 @@ fn link_model(link: &Link) -> LinkModel {
             Loss::Independent(loss) => loss,
             Loss::Burst { .. } => 0.0,
         },
-    }
-}
-
-fn mission_name(mission: &MissionSetup) -> &'static str {
-    use sphere_ground::trajectory::Mission;
-    match mission {
-        MissionSetup::Path(Mission::Line) => "line",
-        MissionSetup::Path(Mission::Sine) => "sine",
-        MissionSetup::Path(Mission::Lemniscate) => "lemniscate",
-        MissionSetup::Path(Mission::Circle { .. }) => "circle",
-        MissionSetup::Path(Mission::Waypoints { .. }) => "waypoints",
-        MissionSetup::Path(Mission::Hold) => "hold",
-        MissionSetup::Roll { .. } => "roll",
     }
 }
 

@@ -2,7 +2,7 @@
 
 use core::fmt::Write;
 
-use super::{Disturbance, Fault, Link, Loss, MissionSetup, Partition, RobotSetup, Scenario};
+use super::{Disturbance, Fault, Link, Loss, Partition, RobotSetup, Scenario};
 use sphere_ground::trajectory::Mission;
 use sphere_protocol::document::node::{number, quoted};
 use sphere_protocol::document::table::Named;
@@ -169,51 +169,50 @@ fn disturbance(disturbance: &Disturbance) -> String {
     ])
 }
 
-fn mission(mission: &MissionSetup) -> String {
-    let (kind, keys): (_, Lines) = match mission {
-        MissionSetup::Path(Mission::Hold) => ("hold", vec![]),
-        MissionSetup::Path(Mission::Line) => ("line", vec![]),
-        MissionSetup::Path(Mission::Sine) => ("sine", vec![]),
-        MissionSetup::Path(Mission::Lemniscate) => ("lemniscate", vec![]),
-        MissionSetup::Path(Mission::Circle {
+fn mission(mission: &Mission) -> String {
+    let keys: Lines = match mission {
+        Mission::Hold | Mission::Line | Mission::Sine | Mission::Lemniscate => vec![],
+        Mission::Circle {
             radius_m,
             speed_mps,
-        }) => (
-            "circle",
-            vec![
-                ("radius_m", number(*radius_m)),
-                ("speed_mps", number(*speed_mps)),
-            ],
-        ),
-        MissionSetup::Path(Mission::Waypoints {
+        } => vec![
+            ("radius_m", number(*radius_m)),
+            ("speed_mps", number(*speed_mps)),
+        ],
+        Mission::Waypoints {
             points_m,
             speed_mps,
-        }) => (
-            "waypoints",
-            vec![
-                (
-                    "points_m",
-                    list(points_m, |[x, y]| {
-                        format!("[{}, {}]", number(*x), number(*y))
-                    }),
-                ),
-                ("speed_mps", number(*speed_mps)),
-            ],
-        ),
-        MissionSetup::Roll {
+        } => vec![
+            (
+                "points_m",
+                list(points_m, |[x, y]| {
+                    format!("[{}, {}]", number(*x), number(*y))
+                }),
+            ),
+            ("speed_mps", number(*speed_mps)),
+        ],
+        Mission::Roll {
             speed_mps,
             angles_deg,
             hold_s,
-        } => (
-            "roll",
-            vec![
-                ("speed_mps", number(*speed_mps)),
-                ("angles_deg", list(angles_deg, |angle| number(*angle))),
-                ("hold_s", number(*hold_s)),
-            ],
-        ),
+        } => vec![
+            ("speed_mps", number(*speed_mps)),
+            ("angles_deg", list(angles_deg, |angle| number(*angle))),
+            ("hold_s", number(*hold_s)),
+        ],
+        Mission::RollSine {
+            speed_mps,
+            amplitude_deg,
+            rate_radps,
+            phase_rad,
+        } => vec![
+            ("speed_mps", number(*speed_mps)),
+            ("amplitude_deg", number(*amplitude_deg)),
+            ("rate_radps", number(*rate_radps)),
+            ("phase_rad", number(*phase_rad)),
+        ],
     };
-    let kind = ("kind", quoted(kind));
+    let kind = ("kind", quoted(mission.kind()));
     inline(&core::iter::once(kind).chain(keys).collect::<Vec<_>>())
 }
 

@@ -23,8 +23,6 @@ enum Only {
     Number(f64),
     /// This name.
     Name(&'static str),
-    /// Every name but this.
-    NameBut(&'static str),
 }
 
 const fn row(path: &'static str, only: Only, what: &'static str, instead: &'static str) -> Row {
@@ -128,12 +126,6 @@ const ROWS: &[Row] = &[
         "other roll controllers",
         "use \"htsmc\"",
     ),
-    row(
-        "robots.*.mission.kind",
-        Only::NameBut("roll"),
-        "direction experiments",
-        "use a trajectory",
-    ),
 ];
 
 /// Refuses the first value of `document` that asks for what the simulator cannot do.
@@ -179,7 +171,6 @@ impl Only {
             (Self::Number(only), Value::Float(number)) => number == only,
             (Self::Number(only), Value::Integer(number)) => *number as f64 == *only,
             (Self::Name(only), Value::Text(name)) => name == only,
-            (Self::NameBut(refused), Value::Text(name)) => name != refused,
             _ => false,
         }
     }

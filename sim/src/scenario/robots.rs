@@ -7,9 +7,7 @@ use sphere_ground::config_file;
 use sphere_protocol::robot::{Robot, RobotId, RobotParams};
 
 use super::read::{LENGTH_OF_TIME, TIME};
-use super::{
-    Disturbance, Environment, MissionSetup, Push, RobotModel, RobotSetup, RollController, Start,
-};
+use super::{Disturbance, Environment, Push, RobotModel, RobotSetup, RollController, Start};
 use sphere_protocol::document::error::Read;
 use sphere_protocol::document::node::{Node, Value, join};
 use sphere_protocol::document::table::{
@@ -78,7 +76,7 @@ fn one<F: FnMut(&str) -> Result<String, String>>(
         clock_drift_ppm: table.number_or("clock_drift_ppm", Range::within(-1e4, 1e4), 0.0)?,
         roll_controller: table.named_or("roll_controller", RollController::Htsmc)?,
         disturbance: disturbance(&table, environment)?,
-        mission: mission(&table, &model.robot)?,
+        mission: config_file::mission(&table, &model.robot)?,
         model,
     })
 }
@@ -212,35 +210,6 @@ fn disturbance(table: &Table<'_>, environment: Environment) -> Read<Disturbance>
         pushes,
     })
 }
-
-fn mission(table: &Table<'_>, robot: &Robot) -> Read<MissionSetup> {
-    if let Some(mission) = config_file::mission(table, robot, &[ROLL])? {
-        return Ok(MissionSetup::Path(mission));
-    }
-    let (node, path) = table.node("mission").expect("it has a kind");
-    let roll = Table::open(node, &path, &["kind", "speed_mps", "angles_deg", "hold_s"])?;
-    let speed = Range::within(0.0, robot.limits.v_max);
-    Ok(MissionSetup::Roll {
-        speed_mps: roll.required_number("speed_mps", speed, "speed_mps = 0.5")?,
-        angles_deg: angles(&roll, robot.limits.q_r_max.to_degrees())?,
-        hold_s: roll.number_or("hold_s", LENGTH_OF_TIME, 10.0)?,
-    })
-}
-
-fn angles(mission: &Table<'_>, q_r_max_deg: f64) -> Read<Vec<f64>> {
-    let angles: Vec<f64> = mission
-        .list("angles_deg")?
-        .into_iter()
-        .map(|(node, path)| number_of(node, &path, Range::within(-q_r_max_deg, q_r_max_deg)))
-        .collect::<Read<_>>()?;
-    if angles.is_empty() {
-        return Err(mission.missing("angles_deg", "angles_deg = [10.0]"));
-    }
-    Ok(angles)
-}
-
-/// The mission that a station does not have: a direction experiment.
-const ROLL: config_file::Kind = ("roll", &["speed_mps", "angles_deg", "hold_s"]);
 
 const KEYS: &[&str] = &[
     "id",
