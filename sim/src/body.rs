@@ -4,6 +4,7 @@
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 use sphere_protocol::mavlink::{
     AGENT, BOARD, Event, Frame, FrameReader, FrameWriter, Framing, Heartbeat, TorqueCommand,
 };
@@ -50,6 +51,9 @@ pub struct Body {
     sensors: Sensors,
     positions: PositionSource,
     disturbance: Disturbance,
+    disturbances: ChaCha8Rng,
+    /// The random torque now, on the roll and on the rolling motion [N·m].
+    random_torque: [f64; 2],
     clock_offset: Span,
     reader: FrameReader,
     writer: FrameWriter,
@@ -67,6 +71,8 @@ pub struct BodyRandom {
     pub sensors: ChaCha8Rng,
     /// Position fixes.
     pub positions: ChaCha8Rng,
+    /// Random torques.
+    pub disturbances: ChaCha8Rng,
 }
 
 impl BodyRandom {
@@ -75,6 +81,7 @@ impl BodyRandom {
         Self {
             sensors: stream(seed, robot, Purpose::Sensors),
             positions: stream(seed, robot, Purpose::Positions),
+            disturbances: stream(seed, robot, Purpose::Disturbances),
         }
     }
 }
@@ -93,6 +100,8 @@ pub enum Purpose {
     LinkDown = 3,
     /// Clock origins and boot ids.
     Clocks = 4,
+    /// Random torques.
+    Disturbances = 5,
 }
 
 /// The random stream of robot number `robot` for one purpose: ChaCha8, the same on every machine.
@@ -122,6 +131,8 @@ impl Body {
             sensors: Sensors::new(setup.noise, random.sensors),
             positions: PositionSource::new(setup.fix_sigma, random.positions),
             disturbance: setup.disturbance,
+            disturbances: random.disturbances,
+            random_torque: [0.0; 2],
             clock_offset: setup.clock_offset,
             reader: FrameReader::new(Framing::Datagrams, BOARD, Some(AGENT.system)),
             writer: FrameWriter::new(BOARD),
@@ -140,6 +151,7 @@ impl Body {
             let torque = self.actuator.step(command);
             self.held &= torque == Torque::default();
             if !self.held {
+                self.wander(dt);
                 let around = self.surroundings();
                 self.state = self.plant.step(&self.state, torque, &around, dt);
             }
@@ -236,8 +248,23 @@ impl Body {
     fn surroundings(&self) -> crate::disturbance::Surroundings {
         let elapsed = Span::from_nanos(self.steps * STEP.as_nanos()).as_secs_f64();
         let s = &self.state.robot;
-        self.disturbance
-            .surroundings(self.plant.params(), elapsed, s.x, s.y)
+        let mut around = self
+            .disturbance
+            .surroundings(self.plant.params(), elapsed, s.x, s.y);
+        around.roll += self.random_torque[0];
+        around.pitch += self.random_torque[1];
+        around
+    }
+
+    /// Moves the random torque on by one step.
+    fn wander(&mut self, dt: f64) {
+        let random = self.disturbance.random;
+        if random.sigma == 0.0 {
+            return;
+        }
+        for torque in &mut self.random_torque {
+            *torque = random.step(*torque, dt, StandardNormal.sample(&mut self.disturbances));
+        }
     }
 
     /// A repeated or overtaken command is not obeyed (modulo 2³²). Once the last one's validity has run out any number is new:

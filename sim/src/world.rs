@@ -25,7 +25,7 @@ use sphere_protocol::robot::RobotId;
 use sphere_protocol::time::{AgentClock, GroundClock, Instant, Span};
 
 use crate::body::{BOARD_HEARTBEAT, Body, BodyRandom, BodySetup, Purpose, stream};
-use crate::disturbance::{Disturbance, Push};
+use crate::disturbance::{Disturbance, Push, RandomTorque};
 use crate::metrics::{RobotRecord, RollStep, SolverCounts};
 use crate::network::{Link, LinkModel};
 use crate::scenario::{self, Loss, RobotSetup, RollController, Scenario};
@@ -642,17 +642,24 @@ pub(crate) fn drawn_clocks(seed: u64, robot: usize) -> (u64, Span) {
 fn disturbance(setup: &scenario::Disturbance) -> Disturbance {
     Disturbance {
         imbalance: setup.imbalance_nm,
+        imbalance_harmonic: setup.imbalance_harmonic,
+        random: RandomTorque {
+            sigma: setup.random_nm,
+            correlation: setup.random_correlation_s,
+        },
+        stiction: setup.stiction_nm,
+        slope: setup.slope_deg.map(|degrees| degrees.to_radians().tan()),
+        patches: setup.patches.clone(),
         pushes: setup
             .pushes
             .iter()
             .map(|push| Push {
                 roll_nm: push.roll_nm,
-                pitch_nm: 0.0,
+                pitch_nm: push.pitch_nm,
                 at_s: push.at_s,
                 for_s: push.for_s,
             })
             .collect(),
-        ..Disturbance::default()
     }
 }
 
