@@ -7,10 +7,12 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow};
 use clap::{Args, Parser, Subcommand};
 use sphere_agent::config_file::AgentFile;
+use sphere_agent::gains_table::GainsTable;
 use sphere_agent::run::{Report, RunError, Setup, run};
 use sphere_protocol::io::link::UdpLink;
 use sphere_protocol::io::{log, stop};
 use sphere_protocol::message::DropReason;
+use sphere_protocol::robot::Robot;
 use tracing::info;
 
 /// Agent of one spherical robot: follows the station's plans, drives the motor board.
@@ -30,6 +32,19 @@ enum Command {
     /// Ctrl-C or SIGTERM: brake to rest, then zero torque, within 5 s; a second one: zero torque now.
     /// Exit code 0: ended as asked; 1: ended by a fault; 2: the configuration is not usable.
     Run(RunArgs),
+    /// Show each condition of stability that a robot's gains must meet, with its margin
+    ///
+    /// Exit code 0: all hold; 1: one does not; 2: the file is not usable.
+    Gains(GainsArgs),
+}
+
+#[derive(Args)]
+struct GainsArgs {
+    /// A robot file, or the name of a robot that comes with the project (liu)
+    robot: String,
+    /// Print the conditions as JSON, and nothing else, on standard output
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Args)]
@@ -43,6 +58,7 @@ fn main() -> ExitCode {
     let cli = Cli::parse();
     let RunArgs { config } = match cli.command {
         Some(Command::Run(args)) => args,
+        Some(Command::Gains(args)) => return gains(&args),
         None => cli.run,
     };
     let setup = match prepare(config.as_deref()) {
@@ -67,6 +83,40 @@ fn main() -> ExitCode {
             })
         }
     }
+}
+
+fn gains(args: &GainsArgs) -> ExitCode {
+    let table = match load_robot(&args.robot).and_then(|robot| Ok(GainsTable::new(&robot)?)) {
+        Ok(table) => table,
+        Err(error) => {
+            eprintln!("sphere-agent: {error:#}");
+            return ExitCode::from(2);
+        }
+    };
+    if args.json {
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&table).expect("plain figures are always JSON")
+        );
+    } else {
+        print!("{}", table.text());
+    }
+    ExitCode::from(u8::from(!table.holds()))
+}
+
+/// The robot of a file, or one that comes with the project.
+fn load_robot(reference: &str) -> Result<Robot> {
+    if let Some(robot) = Robot::embedded(reference) {
+        return Ok(robot);
+    }
+    let text = std::fs::read_to_string(reference).with_context(|| {
+        let known: Vec<_> = Robot::embedded_names().collect();
+        format!(
+            "cannot read the robot file {reference}; robots that come with the project: {}",
+            known.join(", ")
+        )
+    })?;
+    Ok(Robot::parse(reference, &text)?)
 }
 
 fn prepare(config: Option<&Path>) -> Result<Setup> {
