@@ -13,6 +13,7 @@ use sphere_protocol::state::{BoardStatus, RobotState, Torque};
 use sphere_protocol::time::{BoardClock, Instant, Span};
 
 use crate::actuator::{Actuator, MotorBoard};
+use crate::clock::SimClock;
 use crate::disturbance::Disturbance;
 use crate::plant::{Accelerations, Plant, PlantState};
 use crate::sensor::{PositionSource, Sensors};
@@ -35,8 +36,8 @@ pub struct BodySetup {
     pub noise: f64,
     /// Standard deviation of each axis of a position fix, noise factor included [m].
     pub fix_sigma: f64,
-    /// What the board's clock shows at time zero.
-    pub clock_offset: Span,
+    /// The board's clock.
+    pub clock: SimClock,
 }
 
 /// One robot's hardware at one instant.
@@ -54,7 +55,7 @@ pub struct Body {
     disturbances: ChaCha8Rng,
     /// The random torque now, on the roll and on the rolling motion [N·m].
     random_torque: [f64; 2],
-    clock_offset: Span,
+    clock: SimClock,
     reader: FrameReader,
     writer: FrameWriter,
     samples: u32,
@@ -102,6 +103,16 @@ pub enum Purpose {
     Clocks = 4,
     /// Random torques.
     Disturbances = 5,
+    /// Bursts of loss from robot to station.
+    WeatherUp = 6,
+    /// Bursts of loss from station to robot.
+    WeatherDown = 7,
+    /// Duplicates and fates in bursts from robot to station.
+    TwinsUp = 8,
+    /// Duplicates and fates in bursts from station to robot.
+    TwinsDown = 9,
+    /// Which packets are replayed.
+    Replay = 10,
 }
 
 /// The random stream of robot number `robot` for one purpose: ChaCha8, the same on every machine.
@@ -133,7 +144,7 @@ impl Body {
             disturbance: setup.disturbance,
             disturbances: random.disturbances,
             random_torque: [0.0; 2],
-            clock_offset: setup.clock_offset,
+            clock: setup.clock,
             reader: FrameReader::new(Framing::Datagrams, BOARD, Some(AGENT.system)),
             writer: FrameWriter::new(BOARD),
             samples: 0,
@@ -211,7 +222,7 @@ impl Body {
     /// When the next position fix arrives, since the start.
     pub fn next_fix_arrival(&self) -> Option<Span> {
         let arrival = self.positions.next_arrival()?;
-        Some(Span::from_nanos(arrival.as_nanos()) - self.clock_offset)
+        Some(self.clock.when(Span::from_nanos(arrival.as_nanos())))
     }
 
     /// The board's sign of life.
@@ -280,6 +291,7 @@ impl Body {
     }
 
     fn board_now(&self) -> Instant<BoardClock> {
-        Instant::from_nanos(self.steps * STEP.as_nanos()) + self.clock_offset
+        let elapsed = Span::from_nanos(self.steps * STEP.as_nanos());
+        Instant::from_nanos(self.clock.shows(elapsed).as_nanos())
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! A [`Scenario`] holds exactly what the file says, every default filled in, in the file's own units, which end each name (`_ms`,
 //! `_deg`); methods give SI. So [`Scenario::drawn`] writes a file that reads back equal and replays the run. Reading touches
-//! no files: the caller passes the texts. Only what the simulator can do is accepted (`not_yet.rs`).
+//! no files: the caller passes the texts.
 //!
 //! ```
 //! use sphere_ground::trajectory::Mission;
@@ -19,7 +19,6 @@
 
 mod drawn;
 mod names;
-mod not_yet;
 mod read;
 mod robots;
 
@@ -31,6 +30,7 @@ use sphere_protocol::robot::{Robot, RobotId, RobotParams};
 use sphere_protocol::time::Span;
 
 pub use crate::disturbance::Patch;
+pub use crate::network::Distributed;
 pub use names::{Environment, FaultKind, RollController};
 pub use sphere_protocol::document::error::{DocumentError as ScenarioError, Place, Problem};
 
@@ -75,6 +75,8 @@ pub struct Link {
     pub delay_ms: f64,
     /// Standard deviation of the delay, truncated at 0 [ms]; packets may overtake each other. Default 0.
     pub jitter_ms: f64,
+    /// How delays are distributed about their mean. Default normal.
+    pub distribution: Distributed,
     /// How packets are lost.
     pub loss: Loss,
     /// Probability that a packet arrives twice [1]. Default 0.
@@ -275,6 +277,7 @@ impl Default for Link {
         Self {
             delay_ms: 0.0,
             jitter_ms: 0.0,
+            distribution: Distributed::Normal,
             loss: Loss::Independent(0.0),
             duplicate: 0.0,
             bandwidth_kbps: 0.0,

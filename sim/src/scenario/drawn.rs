@@ -103,6 +103,7 @@ fn link(link: &Link) -> Lines {
     vec![
         ("delay_ms", number(link.delay_ms)),
         ("jitter_ms", number(link.jitter_ms)),
+        ("distribution", quoted(link.distribution.name())),
         loss,
         ("duplicate", number(link.duplicate)),
         ("bandwidth_kbps", number(link.bandwidth_kbps)),
