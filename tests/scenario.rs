@@ -403,10 +403,6 @@ fn what_the_simulator_cannot_do_is_refused_by_name_and_never_ignored() {
     for (lines, key) in [
         ("clock_drift_ppm = 50.0", "robots.0.clock_drift_ppm"),
         (
-            "roll_controller = \"fuzzy-pid\"",
-            "robots.0.roll_controller",
-        ),
-        (
             "mission = { kind = \"roll\", speed_mps = 0.5, angles_deg = [10] }",
             "robots.0.mission.kind",
         ),

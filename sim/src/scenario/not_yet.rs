@@ -21,8 +21,6 @@ enum Only {
     Empty,
     /// This number.
     Number(f64),
-    /// This name.
-    Name(&'static str),
     /// Every name but this.
     NameBut(&'static str),
 }
@@ -123,12 +121,6 @@ const ROWS: &[Row] = &[
         "use 0",
     ),
     row(
-        "robots.*.roll_controller",
-        Only::Name("htsmc"),
-        "other roll controllers",
-        "use \"htsmc\"",
-    ),
-    row(
         "robots.*.mission.kind",
         Only::NameBut("roll"),
         "direction experiments",
@@ -178,7 +170,6 @@ impl Only {
             (Self::Empty, Value::List(items)) => items.is_empty(),
             (Self::Number(only), Value::Float(number)) => number == only,
             (Self::Number(only), Value::Integer(number)) => *number as f64 == *only,
-            (Self::Name(only), Value::Text(name)) => name == only,
             (Self::NameBut(refused), Value::Text(name)) => name != refused,
             _ => false,
         }
