@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use sphere_ground::settings::{Compensation, PlannerMode};
 use sphere_ground::trajectory::Mission;
-use sphere_sim::scenario::{Environment, Loss, Place, Problem, Scenario, ScenarioError};
+use sphere_sim::scenario::{Environment, Loss, Scenario, ScenarioError};
 
 const MINIMAL: &str = "[[robots]]\nid = \"r1\"\n";
 
