@@ -312,9 +312,9 @@ fn an_interrupted_demo_ends_cleanly() {
     let demo = start_demo(&folder, "60");
     std::thread::sleep(Duration::from_secs(8));
     let asked = Instant::now();
-    let pid = demo.id().to_string();
-    let killed = Command::new("kill").args(["-INT", &pid]).status();
-    assert!(killed.expect("kill").success());
+    let kill = format!("kill -INT {}", demo.id());
+    let killed = Command::new("sh").args(["-c", &kill]).status();
+    assert!(killed.expect("a shell").success());
     let output = demo.wait_with_output().expect("a demo");
     // 5 s to rest at most, then sessions close and plots are drawn.
     assert!(
