@@ -224,7 +224,8 @@ fn killed_station_leaves_the_robot_at_rest_and_the_next_one_picks_it_up() {
     assert!(jump < 0.05, "{jump} m/s in 20 ms");
 }
 
-/// A station that is started anew at once, under another identity, has the robot before its last plan has been played: it never brakes.
+/// A station that is started anew at once, under another identity, has the robot before its last plan has been played: it never
+/// has to hold. Its mission begins anew, for which this robot turns round.
 #[test]
 fn station_restarted_at_once_takes_over_before_the_last_plan_ends() {
     let mut fleet = Fleet::rolling("restart", None);
@@ -324,7 +325,7 @@ fn frozen_agent_is_known_within_a_second() {
     println!("measured: agent frozen to no command {silent:?}, to others knowing {known:?}");
     assert!(silent < Duration::from_millis(120), "{silent:?}");
     assert!(known < Duration::from_millis(1300), "{known:?}");
-    // It wakes up in a world that has gone on: its sensor frames are old, and it must not drive from them.
+    // It wakes up in a world that has gone on: from the newest frame that waits for it, or in fault if that is too old.
     let woken = fleet.agent.signal("CONT");
     let back = listener.first(woken, 5 * SECOND, "telemetry again", |m| {
         telemetry(m).is_some()

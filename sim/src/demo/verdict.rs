@@ -182,9 +182,17 @@ fn sentence(performance: &Performance, verdicts: &[(RobotId, Verdict)]) -> Strin
                 after.as_secs_f64()
             )),
             Verdict::DidNotHold => parts.push(format!("{id} DID NOT HOLD after its link was cut")),
-            Verdict::Unscored => parts.push(format!("{id} too short on its path to be scored")),
-            Verdict::Tracked(_) | Verdict::Lost(_) => {}
+            Verdict::Unscored | Verdict::Tracked(_) | Verdict::Lost(_) => {}
         }
+    }
+    let unscored: Vec<_> = verdicts
+        .iter()
+        .filter(|(_, verdict)| *verdict == Verdict::Unscored)
+        .map(|(id, _)| id.to_string())
+        .collect();
+    if !unscored.is_empty() {
+        let robots = unscored.join(", ");
+        parts.push(format!("{robots} too short under way to be scored"));
     }
     text.push_str(&parts.join("; "));
     text.push('.');
