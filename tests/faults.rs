@@ -138,16 +138,13 @@ fn a_frozen_agent_goes_on_or_faults() {
     let long = drive(&["faults=[{kind='freeze',at_s=25,for_s=3,robots=['r1']}]"]);
     let last = rows(&long, "r1").last().copied().expect("rows");
     assert_eq!(last.mode, Mode::Fault);
-    assert_eq!(last.torque_applied.roll, 0.0);
+    assert!(last.torque_applied.roll.abs() < 1e-6);
     // The board takes the torque away by itself, 60 ms after the last command.
     for row in rows(&long, "r1") {
         if (25.2..50.0).contains(&row.t.as_secs_f64()) {
-            assert_eq!(
-                row.torque_applied.pitch,
-                0.0,
-                "at {} s",
-                row.t.as_secs_f64()
-            );
+            // What is left of the motors' lag.
+            let torque = row.torque_applied.pitch.abs();
+            assert!(torque < 1e-6, "at {} s", row.t.as_secs_f64());
         }
     }
 }
@@ -169,7 +166,8 @@ fn nuisances_do_not_interrupt() {
             "{fault} does nothing"
         );
         for robot in ["r1", "r2"] {
-            let rmse = rmse(&run, robot, 15.0, 50.0);
+            // r2 begins 6 m beside its path.
+            let rmse = rmse(&run, robot, 20.0, 50.0);
             println!("{fault}: {robot} {:.1} mm", 1e3 * rmse);
             assert_eq!(interruptions(&run, robot), [], "{fault}");
             assert!(rmse < 0.02, "{fault}: {rmse}");

@@ -9,6 +9,7 @@ use clap::{Args, Parser, Subcommand};
 use sphere_agent::config_file::AgentFile;
 use sphere_agent::gains_table::GainsTable;
 use sphere_agent::run::{Report, RunError, Setup, run};
+use sphere_protocol::document::shared::LogFormat;
 use sphere_protocol::io::link::UdpLink;
 use sphere_protocol::io::{log, stop};
 use sphere_protocol::message::DropReason;
@@ -61,8 +62,8 @@ fn main() -> ExitCode {
         Some(Command::Gains(args)) => return gains(&args),
         None => cli.run,
     };
-    let setup = match prepare(config.as_deref()) {
-        Ok(setup) => setup,
+    let (setup, format) = match prepare(config.as_deref()) {
+        Ok(prepared) => prepared,
         Err(error) => {
             eprintln!("sphere-agent: {error:#}");
             return ExitCode::from(2);
@@ -70,7 +71,7 @@ fn main() -> ExitCode {
     };
     match serve(setup) {
         Ok(report) => {
-            print_report(&report);
+            print_report(&report, format);
             ExitCode::SUCCESS
         }
         Err(error) => {
@@ -119,7 +120,7 @@ fn load_robot(reference: &str) -> Result<Robot> {
     Ok(Robot::parse(reference, &text)?)
 }
 
-fn prepare(config: Option<&Path>) -> Result<Setup> {
+fn prepare(config: Option<&Path>) -> Result<(Setup, LogFormat)> {
     let path = config.unwrap_or(Path::new("agent.toml"));
     let file = path.display().to_string();
     let text = match std::fs::read_to_string(path) {
@@ -142,12 +143,14 @@ fn prepare(config: Option<&Path>) -> Result<Setup> {
         robot = %agent.id, model = agent.robot.name, boot_id,
         bind = %agent.motors.bind, board = %agent.motors.board, "agent starts"
     );
-    Ok(Setup {
+    let format = agent.log;
+    let setup = Setup {
         agent: agent.config(boot_id),
         link,
         network: agent.network.into(),
         watch: None,
-    })
+    };
+    Ok((setup, format))
 }
 
 fn serve(setup: Setup) -> Result<Report> {
@@ -166,8 +169,8 @@ fn serve(setup: Setup) -> Result<Report> {
     Ok(report)
 }
 
-/// One line on standard error, whatever the log filter.
-fn print_report(report: &Report) {
+/// One line on standard error: for people whatever the log filter, for programs a line of the log.
+fn print_report(report: &Report, format: LogFormat) {
     let late = &report.lateness;
     let ms = |duration: Option<Duration>| {
         duration.map_or("-".to_owned(), |d| format!("{:.3}", d.as_secs_f64() * 1e3))
@@ -185,12 +188,32 @@ fn print_report(report: &Report) {
     };
     let frames = &report.frames;
     let refused = frames.bad_checksum + frames.unknown + frames.invalid + frames.foreign;
+    let [p50, p99, max] = [
+        late.quantile(0.5),
+        late.quantile(0.99),
+        (late.steps() > 0).then_some(late.max()),
+    ];
+    if format == LogFormat::Json {
+        let ms = |duration: Option<Duration>| duration.map(|d| d.as_secs_f64() * 1e3);
+        info!(
+            control_steps = late.steps(),
+            late_p50_ms = ms(p50),
+            late_p99_ms = ms(p99),
+            late_max_ms = ms(max),
+            dropped = drops,
+            frames = frames.frames,
+            frames_refused = refused,
+            frames_cut_off = frames.cut_off,
+            "ended"
+        );
+        return;
+    }
     eprintln!(
         "sphere-agent: {} control steps, late by p50 {} ms, p99 {} ms, max {} ms; messages dropped: {drops}; {} frames of the board, {} refused, {} cut off",
         late.steps(),
-        ms(late.quantile(0.5)),
-        ms(late.quantile(0.99)),
-        ms((late.steps() > 0).then_some(late.max())),
+        ms(p50),
+        ms(p99),
+        ms(max),
         frames.frames,
         refused,
         frames.cut_off,

@@ -342,6 +342,7 @@ impl LiveRobot {
             });
         SceneRobot {
             row: row(t, self.id, &truth, &shown, reference),
+            reason: shown.reason,
             mission: self.mission,
             up: self.relay.up(),
             down: self.relay.down(),
