@@ -16,6 +16,7 @@ use std::time::Duration;
 use sphere_protocol::io::bus::{Bus, Declared, Inbox, Role};
 use sphere_protocol::io::clock::Clock;
 use sphere_protocol::io::link::{DATAGRAM_MAX, UdpLink};
+use sphere_protocol::io::real_time;
 use sphere_protocol::key::{Key, every};
 use sphere_protocol::mavlink::FrameCounters;
 use sphere_protocol::message::{Direction, DropReason, Mode, PlanId, Qos};
@@ -173,6 +174,9 @@ pub async fn run(setup: Setup, mut stop: mpsc::Receiver<()>) -> Result<Report, R
         thread::Builder::new()
             .name(format!("control-{id}"))
             .spawn(move || {
+                if let Err(refused) = real_time::begin(real_time::CONTROL) {
+                    info!("{refused}");
+                }
                 // If nobody waits any more there is nobody to tell.
                 let _ = ended.send(control_loop(
                     agent,

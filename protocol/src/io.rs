@@ -5,4 +5,5 @@ pub mod bus;
 pub mod clock;
 pub mod link;
 pub mod log;
+pub mod real_time;
 pub mod stop;

@@ -14,6 +14,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use sphere_protocol::io::link::{DATAGRAM_MAX, LinkError, UdpLink};
+use sphere_protocol::io::real_time;
 use sphere_protocol::robot::RobotId;
 use sphere_protocol::state::{RobotState, Torque};
 use sphere_protocol::time::Span;
@@ -159,7 +160,11 @@ impl Plants {
             let shared = shared.clone();
             thread::Builder::new()
                 .name("plants".to_owned())
-                .spawn(move || step_all(bodies, origin, &shared))
+                .spawn(move || {
+                    // Refused, they are late at times, and say so.
+                    let _ = real_time::begin(real_time::PLANTS);
+                    step_all(bodies, origin, &shared)
+                })
                 .map_err(PlantsError::Thread)?
         };
         Ok(Self {
