@@ -398,13 +398,7 @@ fn what_the_simulator_cannot_do_is_refused_by_name_and_never_ignored() {
             "{error}"
         );
     }
-    for (lines, key) in [
-        ("clock_drift_ppm = 50.0", "robots.0.clock_drift_ppm"),
-        (
-            "roll_controller = \"fuzzy-pid\"",
-            "robots.0.roll_controller",
-        ),
-    ] {
+    for (lines, key) in [("clock_drift_ppm = 50.0", "robots.0.clock_drift_ppm")] {
         let error = parse(&robot(lines), &[]).expect_err(lines);
         assert_eq!(
             (error.key.as_str(), &error.place),

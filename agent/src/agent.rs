@@ -215,7 +215,7 @@ impl Agent {
     pub fn new(now: Instant<AgentClock>, config: AgentConfig) -> Result<Self, GainsError> {
         let robot = &config.robot;
         let estimator = Estimator::new(&robot.params, config.estimator);
-        let velocity = Hsmc::from_robot(robot)?;
+        let velocity = config.direction.build_velocity(robot)?;
         let direction = config.direction.build(robot)?;
         let due = Deadlines {
             control: now,

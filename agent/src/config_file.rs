@@ -76,7 +76,12 @@ impl AgentFile {
 
 impl Named for DirectionChoice {
     const WHAT: &'static str = "roll controller";
-    const NAMES: &'static [(&'static str, Self)] = &[("htsmc", Self::Htsmc)];
+    const NAMES: &'static [(&'static str, Self)] = &[
+        ("htsmc", Self::Htsmc),
+        ("htsmc-paper", Self::HtsmcPaper),
+        ("fuzzy-pid", Self::FuzzyPid),
+        ("fuzzy-pid-single", Self::FuzzyPidSingle),
+    ];
 }
 
 fn agent(text: &str, load: &mut dyn FnMut(&str) -> Result<String, String>) -> Read<AgentFile> {

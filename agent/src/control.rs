@@ -1,11 +1,15 @@
 //! Torque controllers: what they have in common, and which one steers.
 //!
-//! Velocity is always [`hsmc`]. Direction is a choice ([`DirectionChoice`], in a configuration `roll_controller = "htsmc"`):
+//! Velocity is always [`hsmc`], with its observer or without. Direction is a choice ([`DirectionChoice`], in a configuration `roll_controller = "htsmc"`):
 //! a new law is one file here and one variant there. Every controller gives a finite torque within ± τ_max, whatever it is fed:
 //! where it cannot compute one it gives 0 and counts it ([`Counters::not_finite`]). None allocates in `step`.
 
+pub mod fuzzy;
+pub mod fuzzy_pid;
+pub mod fuzzy_pid_single;
 pub mod hsmc;
 pub mod htsmc;
+pub mod htsmc_paper;
 pub mod observer;
 pub mod reference_filter;
 pub mod sliding;
@@ -14,6 +18,7 @@ use serde::Deserialize;
 use sphere_protocol::robot::Robot;
 use sphere_protocol::state::{RobotState, Setpoint};
 
+use self::hsmc::Hsmc;
 use crate::gains::GainsError;
 
 /// A law that makes the frame lean as told, and with it the robot turn.
@@ -51,6 +56,12 @@ pub enum DirectionChoice {
     /// Hierarchical terminal sliding mode as corrected, with disturbance observer ([`htsmc`]).
     #[default]
     Htsmc,
+    /// The paper's law as printed, for the whole agent: no observer in either controller ([`htsmc_paper`]).
+    HtsmcPaper,
+    /// Fuzzy-PID as a cascade, the rival ([`fuzzy_pid`]).
+    FuzzyPid,
+    /// The paper's single-loop fuzzy-PID ([`fuzzy_pid_single`]).
+    FuzzyPidSingle,
 }
 
 impl DirectionChoice {
@@ -61,6 +72,22 @@ impl DirectionChoice {
     pub fn build(self, robot: &Robot) -> Result<Box<dyn DirectionController + Send>, GainsError> {
         match self {
             Self::Htsmc => Ok(Box::new(htsmc::Htsmc::from_robot(robot)?)),
+            Self::HtsmcPaper => Ok(Box::new(htsmc_paper::HtsmcPaper::from_robot(robot)?)),
+            Self::FuzzyPid => Ok(Box::new(fuzzy_pid::FuzzyPid::from_robot(robot)?)),
+            Self::FuzzyPidSingle => Ok(Box::new(fuzzy_pid_single::FuzzyPidSingle::from_robot(
+                robot,
+            )?)),
+        }
+    }
+
+    /// Builds the velocity controller that goes with it: [`hsmc`], without its observer beside [`htsmc_paper`].
+    ///
+    /// # Errors
+    /// Gains that cannot be read, or that violate a condition of stability, with the numbers.
+    pub fn build_velocity(self, robot: &Robot) -> Result<Hsmc, GainsError> {
+        match self {
+            Self::HtsmcPaper => Hsmc::without_observer(robot),
+            Self::Htsmc | Self::FuzzyPid | Self::FuzzyPidSingle => Hsmc::from_robot(robot),
         }
     }
 }

@@ -7,12 +7,16 @@
 //! with the numbers; [`HtsmcGains::conditions`] and [`HsmcGains::conditions`] give the whole table.
 
 mod condition;
+mod fuzzy;
 
-use sphere_protocol::quantity::{ANGLE, Field, ONE, QuantityError, Range, read_section};
+use sphere_protocol::quantity::{
+    ANGLE, Field, ONE, QuantityError, Range, Section, TIME, read_section,
+};
 use sphere_protocol::robot::Robot;
 use thiserror::Error;
 
 pub use condition::{Condition, Relation};
+pub use fuzzy::{FuzzyPidGains, FuzzyPidSingleGains, FuzzySchedule};
 
 use condition::{integral_max, ratio_lower, ratio_upper};
 
@@ -90,6 +94,16 @@ pub struct Refused {
 /// Why a controller cannot be built from a robot file.
 #[derive(Debug, Error, PartialEq)]
 pub enum GainsError {
+    /// The file lacks the section of the controller that is asked for.
+    #[error(
+        "{name}: there is no section [{section}], which the direction controller `{section}` needs: copy it from the robot `liu`, or choose another controller"
+    )]
+    NoSection {
+        /// The robot file.
+        name: String,
+        /// The section, named like the controller.
+        section: &'static str,
+    },
     /// A gain is missing, unknown, impossible or in a wrong unit.
     #[error("{name}: {error}")]
     Quantity {
@@ -255,6 +269,21 @@ impl GainsError {
             name: robot.name.clone(),
             error,
         }
+    }
+
+    /// `section` of the robot's file, which may be left out where its controller is not asked for.
+    fn present<'a>(
+        robot: &Robot,
+        name: &'static str,
+        section: &'a Section,
+    ) -> Result<&'a Section, Self> {
+        if section.is_empty() {
+            return Err(Self::NoSection {
+                name: robot.name.clone(),
+                section: name,
+            });
+        }
+        Ok(section)
     }
 
     pub(crate) fn refused(robot: &Robot, error: Refused) -> Self {

@@ -103,7 +103,7 @@ pub struct Limits {
     pub reference_lag: f64,
 }
 
-/// A robot file: parameters, limits, and the sections that other members read (`[htsmc]`, `[hsmc]`: the agent).
+/// A robot file: parameters, limits, and the sections that other members read (gains: the agent).
 #[derive(Clone, Debug)]
 pub struct Robot {
     /// Name of the file without its ending, for messages.
@@ -116,7 +116,11 @@ pub struct Robot {
     pub htsmc: Section,
     /// Gains of the velocity controller, as the file states them.
     pub hsmc: Section,
-    /// The file's text, for messages about `htsmc` and `hsmc`.
+    /// Gains of the direction controller `fuzzy-pid`, as the file states them; empty if it does not.
+    pub fuzzy_pid: Section,
+    /// Gains of the direction controller `fuzzy-pid-single`, as the file states them; empty if it does not.
+    pub fuzzy_pid_single: Section,
+    /// The file's text, for messages about these sections.
     pub text: String,
 }
 
@@ -158,6 +162,10 @@ struct RobotFile {
     htsmc: Section,
     #[serde(default)]
     hsmc: Section,
+    #[serde(default, rename = "fuzzy-pid")]
+    fuzzy_pid: Section,
+    #[serde(default, rename = "fuzzy-pid-single")]
+    fuzzy_pid_single: Section,
 }
 
 impl RobotId {
@@ -253,6 +261,8 @@ impl Robot {
             limits,
             htsmc: file.htsmc,
             hsmc: file.hsmc,
+            fuzzy_pid: file.fuzzy_pid,
+            fuzzy_pid_single: file.fuzzy_pid_single,
             text: text.to_owned(),
         })
     }

@@ -609,10 +609,9 @@ pub(crate) fn agent_config(setup: &RobotSetup, boot_id: u64) -> AgentConfig {
         },
         direction: match setup.roll_controller {
             RollController::Htsmc => DirectionChoice::Htsmc,
-            // The scenario format has them, the simulator refuses them with "not yet".
-            RollController::HtsmcPaper
-            | RollController::FuzzyPid
-            | RollController::FuzzyPidSingle => DirectionChoice::Htsmc,
+            RollController::HtsmcPaper => DirectionChoice::HtsmcPaper,
+            RollController::FuzzyPid => DirectionChoice::FuzzyPid,
+            RollController::FuzzyPidSingle => DirectionChoice::FuzzyPidSingle,
         },
         timing: Timing::default(),
     }

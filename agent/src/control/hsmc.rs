@@ -76,6 +76,18 @@ impl Hsmc {
             .map_err(|error| GainsError::refused(robot, error))
     }
 
+    /// The same without its disturbance observer, as the paper's robot had it.
+    ///
+    /// # Errors
+    /// As [`Hsmc::from_robot`].
+    pub fn without_observer(robot: &Robot) -> Result<Self, GainsError> {
+        let gains = HsmcGains {
+            observer: 0.0,
+            ..HsmcGains::read(robot)?
+        };
+        Self::new(&robot.params, gains).map_err(|error| GainsError::refused(robot, error))
+    }
+
     /// The controller with `gains`.
     ///
     /// # Errors

@@ -258,7 +258,7 @@ pub fn pendulum_target(
 }
 
 /// Clamp of sin β_d (E9): 53°.
-const SIN_BETA_MAX: f64 = 0.8;
+pub(super) const SIN_BETA_MAX: f64 = 0.8;
 
 /// Error below which the integral runs, 5° [rad]: it corrects a bias and leaves steps alone.
 const INTEGRATE_BELOW: f64 = 5.0 * core::f64::consts::PI / 180.0;

@@ -90,16 +90,21 @@ impl NominalModel {
 
     /// Roll sub-model of eq (7) as printed, with F_fr R = M v² tan q_r of eqs (10), (11).
     pub fn printed_roll_submodel(&self, state: &RobotState) -> SubModel {
+        let m = self.printed_inertia(state);
+        SubModel::from_rows(
+            [[m[(2, 2)], m[(2, 3)]], [m[(3, 2)], m[(3, 3)]]],
+            self.printed_roll_forces(state),
+        )
+    }
+
+    /// Rows (β, q_r) of N as printed, with F_fr R = M v² tan q_r of eqs (10), (11) [N·m].
+    pub fn printed_roll_forces(&self, state: &RobotState) -> [f64; 2] {
         let p = &self.params;
         let floor = FloorForces {
             fp: 0.0,
             fr: p.total_mass() * state.v * state.v * state.q_r.tan() / p.r,
         };
-        let m = self.printed_inertia(state);
         let n = self.printed_forces(state, floor);
-        SubModel::from_rows(
-            [[m[(2, 2)], m[(2, 3)]], [m[(3, 2)], m[(3, 3)]]],
-            [n[2], n[3]],
-        )
+        [n[2], n[3]]
     }
 }

@@ -21,8 +21,6 @@ enum Only {
     Empty,
     /// This number.
     Number(f64),
-    /// This name.
-    Name(&'static str),
 }
 
 const fn row(path: &'static str, only: Only, what: &'static str, instead: &'static str) -> Row {
@@ -120,12 +118,6 @@ const ROWS: &[Row] = &[
         "drifting clocks",
         "use 0",
     ),
-    row(
-        "robots.*.roll_controller",
-        Only::Name("htsmc"),
-        "other roll controllers",
-        "use \"htsmc\"",
-    ),
 ];
 
 /// Refuses the first value of `document` that asks for what the simulator cannot do.
@@ -170,7 +162,6 @@ impl Only {
             (Self::Empty, Value::List(items)) => items.is_empty(),
             (Self::Number(only), Value::Float(number)) => number == only,
             (Self::Number(only), Value::Integer(number)) => *number as f64 == *only,
-            (Self::Name(only), Value::Text(name)) => name == only,
             _ => false,
         }
     }
