@@ -143,8 +143,8 @@ impl Shown<'_> {
             lines.extend(self.lines(own));
             lines
         };
-        let of = |title, lines: Vec<Line<'static>>| Panel {
-            range: around(&lines[0].points),
+        let of = |title, room, lines: Vec<Line<'static>>| Panel {
+            range: around(&lines, room),
             lines,
             ..panel(title, 150)
         };
@@ -166,22 +166,21 @@ impl Shown<'_> {
                     lines: distances,
                     ..panel("Distance from the reference", 200)
                 },
-                of("X [m]", both(|m| m.pose.x, |m| m.pose_ref.x)),
-                of("Y [m]", both(|m| m.pose.y, |m| m.pose_ref.y)),
+                of("X [m]", 1.0, both(|m| m.pose.x, |m| m.pose_ref.x)),
+                of("Y [m]", 1.0, both(|m| m.pose.y, |m| m.pose_ref.y)),
                 of(
                     "Heading φ [°]",
+                    60.0,
                     both(
                         |m| m.pose.heading.to_degrees(),
                         |m| m.pose_ref.heading.to_degrees(),
                     ),
                 ),
-                Panel {
-                    range: (-ROLL_SHOWN, ROLL_SHOWN),
-                    ..of(
-                        "Roll [°]",
-                        both(|m| m.q_r.to_degrees(), |m| m.q_r_ref.to_degrees()),
-                    )
-                },
+                of(
+                    "Roll [°]",
+                    20.0,
+                    both(|m| m.q_r.to_degrees(), |m| m.q_r_ref.to_degrees()),
+                ),
             ],
         }
         .svg()?;
@@ -225,14 +224,19 @@ fn reference(name: &'static str, points: Points) -> Line<'static> {
     }
 }
 
-/// A range around `points` with some room.
-fn around(points: &[(f64, f64)]) -> (f64, f64) {
-    let values = points.iter().map(|p| p.1).filter(|value| value.is_finite());
-    let (low, high) = values.fold((0.0_f64, 0.0_f64), |(low, high), value| {
-        (low.min(value), high.max(value))
-    });
-    let room = 0.1 * (high - low).max(1.0);
-    (low - room, high + room)
+/// A range that holds the first of `lines`, and of the others what is within `room` of it.
+fn around(lines: &[Line<'_>], room: f64) -> (f64, f64) {
+    let extent = |lines: &[Line<'_>]| {
+        let points = lines.iter().flat_map(|line| &line.points);
+        let values = points.map(|p| p.1).filter(|value| value.is_finite());
+        values.fold((0.0_f64, 0.0_f64), |(low, high), value| {
+            (low.min(value), high.max(value))
+        })
+    };
+    let (first, all) = (extent(&lines[..1]), extent(lines));
+    let (low, high) = (all.0.max(first.0 - room), all.1.min(first.1 + room));
+    let rim = 0.08 * (high - low).max(1.0);
+    (low - rim, high + rim)
 }
 
 /// Each family has its colour, in every figure.
@@ -249,5 +253,3 @@ const fn colour(controller: Controller) -> RGBColor {
 const BUCKETS: usize = 300;
 /// Errors shown [°].
 const ERROR_SHOWN: f64 = 6.0;
-/// Rolls shown of a trajectory [°].
-const ROLL_SHOWN: f64 = 15.0;

@@ -27,6 +27,7 @@ pub enum Indicator {
 struct About {
     name: &'static str,
     label: &'static str,
+    words: &'static str,
     definition: &'static str,
 }
 
@@ -58,6 +59,11 @@ impl Indicator {
     /// Its name in a narrow table, with its unit.
     pub const fn label(self) -> &'static str {
         self.about().label
+    }
+
+    /// Its name in a sentence.
+    pub const fn words(self) -> &'static str {
+        self.about().words
     }
 
     /// What it is.
@@ -149,86 +155,102 @@ impl Indicator {
     }
 
     const fn about(self) -> About {
-        let (name, label, definition) = match self {
+        let (name, label, words, definition) = match self {
             Self::RiseTime => (
                 "rise_time_s",
                 "t_r s",
-                "from the step to the first time that the true roll reaches its new value",
+                "rise time",
+                "from the step to the first time that the true roll reaches its new value, as the paper counts; a response that creeps up to it from below may never have one",
             ),
             Self::SettlingTime => (
                 "settling_time_s",
                 "t_s s",
+                "settling time",
                 "from the step to the time from which the true roll stays within ±1° of its new value until that changes",
             ),
             Self::MeanError => (
                 "mean_error_deg",
                 "e_m °",
+                "mean error",
                 "mean of the roll error with its sign, from the step to the end; no measure of quality",
             ),
             Self::RmseSteady => (
                 "rmse_steady_deg",
                 "e_rmse st. °",
+                "steady RMSE",
                 "root mean square of the roll error from 5 s after the step to the end",
             ),
             Self::BoundLow => (
                 "bound_low_deg",
                 "Δh low °",
+                "Δh below",
                 "lowest roll error from 5 s after the step to the end",
             ),
             Self::BoundHigh => (
                 "bound_high_deg",
                 "Δh high °",
+                "Δh above",
                 "highest roll error from 5 s after the step to the end",
             ),
             Self::Mae => (
                 "mae_deg",
                 "e_mae °",
+                "mean absolute error",
                 "mean absolute roll error from the mission's start to its end",
             ),
             Self::Rmse => (
                 "rmse_deg",
                 "e_rmse °",
+                "RMSE of the whole",
                 "root mean square of the roll error from the mission's start to its end",
             ),
             Self::PositionRmse => (
                 "position_rmse_m",
                 "RMSE mm",
+                "position RMSE",
                 "root mean square distance of the true centre from the reference, from 10 s after the mission's start",
             ),
             Self::PositionAllRmse => (
                 "position_all_rmse_m",
                 "RMSE all mm",
+                "position RMSE with the approach",
                 "the same from the mission's start, the approach included",
             ),
             Self::PositionMax => (
                 "position_max_m",
                 "max mm",
+                "largest distance",
                 "largest distance from the reference, from 10 s after the mission's start",
             ),
             Self::HeadingRmse => (
                 "heading_rmse_deg",
                 "heading °",
+                "heading",
                 "root mean square of true minus reference heading, from 10 s after the mission's start",
             ),
             Self::LeanRmse => (
                 "lean_rmse_deg",
                 "lean °",
+                "lean",
                 "root mean square of the true roll minus the one that belongs to the reference path at that time, from 10 s after the mission's start",
             ),
             Self::TimeToFound => (
                 "time_to_0p1_m_s",
                 "to 0.1 m s",
+                "time to 0.1 m",
                 "from the mission's start to the time from which the distance stays below 0.1 m",
             ),
             Self::TorqueVariation => (
                 "torque_variation_nm_per_s",
                 "Σ|Δτ| N·m/s",
+                "torque variation",
                 "total variation of the commanded roll torque for each second: of direction experiments from the mission's start to its end, of trajectories from 10 s after the mission's start",
             ),
         };
         About {
             name,
             label,
+            words,
             definition,
         }
     }

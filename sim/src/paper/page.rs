@@ -44,8 +44,8 @@ fn introduction(body: &mut String, results: &Results) {
         format_args!(
             "<h1>The paper's experiments</h1>\n\
              <p>Experiments of Liu et al., <i>Direction and Trajectory Tracking Control for Nonholonomic Spherical Robot by Combining Sliding Mode \
-             Controller and Model Prediction Controller</i>, in simulation: {}. Sphere Fleet {}; {runs} runs, each case with {seeds}, in the environments ideal, \
-             real and calibrated. The deployed agent, estimator and station are in the loop, on a three-dimensional plant in virtual time, without delay on the network.</p>\n\
+             Controller and Model Prediction Controller</i>, in simulation: {}. Sphere Fleet {}; {runs} runs, each case with {seeds}, in the environments \
+             real and calibrated, and with seed 1 in ideal, where nothing is random. The deployed agent, estimator and station are in the loop, on a three-dimensional plant in virtual time, without delay on the network.</p>\n\
              <p>None of this ran on hardware. The robot's parameters are estimates, for the paper prints none; its own numbers, of its hardware, stand beside for comparison. \
              <i>Ideal</i>: exact sensors, motors without lag and friction. <i>Real</i>: noisy sensors, motors with lag, delay and friction, a shell out of balance by 0.2 N·m. \
              <i>Calibrated</i>: 2.3 N·m and 0.5 N·m of joint friction, chosen so that the paper's plain law shows the steady errors that the paper reports.</p>\n",
@@ -104,7 +104,14 @@ fn table(body: &mut String, group: &[Cell]) {
         ),
     );
     for indicator in shown(case.experiment) {
-        push(body, format_args!("<th>{}</th>", indicator.label()));
+        let (label, unit) = indicator
+            .label()
+            .rsplit_once(' ')
+            .unwrap_or((indicator.label(), ""));
+        push(
+            body,
+            format_args!("<th>{label}<br><small>{unit}</small></th>"),
+        );
     }
     body.push_str("<th>fell</th></tr>\n");
     for cell in group {
@@ -120,7 +127,7 @@ fn table(body: &mut String, group: &[Cell]) {
         }
         push(
             body,
-            format_args!("<td>{} of {}</td></tr>\n", cell.fell, cell.runs),
+            format_args!("<td>{}/{}</td></tr>\n", cell.fell, cell.runs),
         );
     }
     let printed = [

@@ -1,7 +1,7 @@
 //! Who wins where, in sentences made from the medians.
 
 use super::Results;
-use super::experiment::{Case, Controller, Experiment};
+use super::experiment::{Case, Controller, ENVIRONMENTS, Experiment, environment_name};
 use super::indicator::Indicator;
 use super::table::Cell;
 
@@ -119,12 +119,24 @@ fn duel(results: &Results, name: &str, ours: Controller, other: Controller) -> O
         .filter(|one| one.winner.is_none())
         .copied()
         .collect();
+    let by_environment: Vec<_> = ENVIRONMENTS
+        .iter()
+        .map(|environment| {
+            let of = |matches: &[Match]| {
+                let here = |one: &&Match| one.case.environment == *environment;
+                matches.iter().filter(here).count()
+            };
+            let name = environment_name(*environment);
+            format!("{name} {} of {}", of(&better), of(&all))
+        })
+        .collect();
     let mut text = format!(
-        "{name}: {} has the better median than {} in {} of {} comparisons",
+        "{name}: {} has the better median than {} in {} of {} comparisons ({})",
         ours.name(),
         other.name(),
         better.len(),
-        all.len()
+        all.len(),
+        by_environment.join(", ")
     );
     if !equal.is_empty() {
         text.push_str(&format!(", an equal one in {}", equal.len()));
@@ -152,7 +164,7 @@ fn places(matches: &[Match]) -> String {
     let together = |a: &Match, b: &Match| a.case.is_rival(&b.case);
     let place = |group: &[Match]| {
         let case = group[0].case;
-        let indicators: Vec<_> = group.iter().map(|one| one.indicator.name()).collect();
+        let indicators: Vec<_> = group.iter().map(|one| one.indicator.words()).collect();
         format!("{} ({})", indicators.join(", "), case.heading())
     };
     let places: Vec<_> = matches.chunk_by(together).map(place).collect();
@@ -164,7 +176,7 @@ fn falls(results: &Results) -> String {
     let runs: usize = results.table.cells.iter().map(|cell| cell.runs).sum();
     let fell: usize = results.table.cells.iter().map(|cell| cell.fell).sum();
     let mut text = if fell == 0 {
-        format!("No robot fell in {runs} runs.")
+        format!("No robot fell in the {runs} runs of the tables.")
     } else {
         let fallen = results.table.cells.iter().filter(|cell| cell.fell > 0);
         let each: Vec<_> = fallen
@@ -179,7 +191,7 @@ fn falls(results: &Results) -> String {
             })
             .collect();
         format!(
-            "The robot fell in {fell} of {runs} runs: {}.",
+            "The robot fell in {fell} of the {runs} runs of the tables: {}.",
             each.join("; ")
         )
     };

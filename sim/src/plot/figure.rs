@@ -255,16 +255,30 @@ pub(crate) fn legend(area: &Area<'_>, title: &str, keys: &[Key<'_>]) -> Result<(
     Ok(())
 }
 
-/// The parts of `points` that are finite and inside `range`.
-fn stretches(
-    points: &[(f64, f64)],
-    (low, high): (f64, f64),
-) -> impl Iterator<Item = Vec<(f64, f64)>> {
-    let inside = move |point: &(f64, f64)| (low..=high).contains(&point.1);
-    points
-        .chunk_by(move |a, b| inside(a) == inside(b))
-        .filter(move |chunk| inside(&chunk[0]))
-        .map(<[_]>::to_vec)
+/// The parts of `points` that are finite and inside `range`, each continued to the edge at which it leaves.
+fn stretches(points: &[(f64, f64)], (low, high): (f64, f64)) -> Vec<Vec<(f64, f64)>> {
+    let inside = |point: &(f64, f64)| (low..=high).contains(&point.1);
+    // Where the line from `a`, inside, to `b`, outside, meets the edge.
+    let edge = |a: (f64, f64), b: (f64, f64)| {
+        let y = if b.1 > high { high } else { low };
+        let x = a.0 + (b.0 - a.0) * (y - a.1) / (b.1 - a.1);
+        (b.1.is_finite() && x.is_finite()).then_some((x, y))
+    };
+    let mut stretches = Vec::new();
+    let mut begin = 0;
+    for chunk in points.chunk_by(|a, b| inside(a) == inside(b)) {
+        let end = begin + chunk.len();
+        if inside(&chunk[0]) {
+            let before = begin.checked_sub(1).map(|i| points[i]);
+            let first = before.and_then(|before| edge(chunk[0], before));
+            let after = points.get(end).copied();
+            let last = after.and_then(|after| edge(chunk[chunk.len() - 1], after));
+            let stretch = first.into_iter().chain(chunk.iter().copied()).chain(last);
+            stretches.push(stretch.collect());
+        }
+        begin = end;
+    }
+    stretches
 }
 
 /// Black text of `size` pixels.
@@ -318,5 +332,29 @@ impl Bold for TextStyle<'_> {
     fn transform_bold(mut self) -> Self {
         self.font = self.font.style(FontStyle::Bold);
         self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_that_leaves_the_panel_is_drawn_to_its_edge_and_a_gap_is_not() {
+        let points = [
+            (0.0, 0.0),
+            (1.0, 4.0),
+            (2.0, 0.0),
+            (3.0, -4.0),
+            (4.0, f64::NAN),
+            (5.0, 1.0),
+        ];
+        let expected = [
+            vec![(0.0, 0.0), (0.5, 2.0)],
+            vec![(1.5, 2.0), (2.0, 0.0), (2.5, -2.0)],
+            vec![(5.0, 1.0)],
+        ];
+        assert_eq!(stretches(&points, (-2.0, 2.0)), expected);
+        assert!(stretches(&[], (0.0, 1.0)).is_empty());
     }
 }
