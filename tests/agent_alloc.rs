@@ -9,8 +9,11 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use bench::{Bench, Recorded};
+use sphere_agent::control::DirectionChoice;
 use sphere_agent::estimator::EstimatorConfig;
 use sphere_protocol::message::{CommandOrder, Mode};
+use sphere_protocol::robot::Robot;
+use sphere_protocol::state::{RobotState, Setpoint};
 
 struct Counting;
 
@@ -77,6 +80,36 @@ fn a_tracking_agent_allocates_nothing() {
         bench.inputs.len() - warm
     );
     assert_eq!(allocations, 0);
+}
+
+#[test]
+fn no_direction_controller_allocates_in_a_step() {
+    let robot = Robot::embedded("liu").expect("embedded");
+    let state = RobotState {
+        v: 0.5,
+        q_r: 0.05,
+        beta: -0.1,
+        ..RobotState::default()
+    };
+    for choice in [
+        DirectionChoice::Htsmc,
+        DirectionChoice::HtsmcPaper,
+        DirectionChoice::FuzzyPid,
+        DirectionChoice::FuzzyPidSingle,
+    ] {
+        let mut controller = choice.build(&robot).expect("valid");
+        let before = ALLOCATIONS.get();
+        for i in 0..100 {
+            let setpoint = Setpoint {
+                v: 0.5,
+                q_r: f64::from(i) * 1e-3,
+                ..Setpoint::default()
+            };
+            std::hint::black_box(controller.step(&state, &setpoint, 0.02));
+        }
+        controller.reset();
+        assert_eq!(ALLOCATIONS.get() - before, 0, "{choice:?}");
+    }
 }
 
 #[test]

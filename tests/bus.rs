@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use process::free_port;
+use process::{Program, free_port};
 use sphere_agent::agent::{Agent, Input, Output};
 use sphere_agent::config::{AgentConfig, Timing};
 use sphere_agent::control::DirectionChoice;
@@ -132,6 +132,39 @@ fn own_messages_are_not_heard() {
     });
     sleep(Duration::from_millis(200));
     assert!(own.pop().is_none(), "it heard itself");
+}
+
+/// LIBRARIES, delivery: a frozen peer costs whoever publishes to it no time. Waiting for it would be 5 s, and then the end of the link.
+#[test]
+fn publishing_to_a_frozen_peer_does_not_wait() {
+    let port = free_port();
+    let station = Program::station("frozen-peer", Some(1), port);
+    station.says(Instant::now() - SECOND, 5 * SECOND, "station ready");
+    let speaker = client(port);
+    // What the station subscribes to, so that it is sent; more than the sockets between them hold.
+    let telemetry = [0; 4000];
+    let publish = || {
+        let begin = Instant::now();
+        for qos in [Qos::Latest, Qos::Urgent] {
+            let key = "fleet/v1/r1/up/telemetry";
+            speaker.publish(key, qos, &telemetry).expect("open");
+        }
+        begin.elapsed()
+    };
+    publish();
+    sleep(Duration::from_millis(300));
+    station.signal("STOP");
+    let begin = Instant::now();
+    let (mut longest, mut count) = (Duration::ZERO, 0);
+    // Beyond the lease, after which the link is gone.
+    while begin.elapsed() < 2 * SECOND {
+        longest = longest.max(publish());
+        count += 1;
+        sleep(Duration::from_micros(500));
+    }
+    println!("measured: {count} pairs published to a frozen peer, the longest took {longest:?}");
+    assert!(count > 1000, "{count}: too few to fill the sockets");
+    assert!(longest < Duration::from_millis(200), "{longest:?}");
 }
 
 /// LIBRARIES, await: opening a session towards a host that accepts and never answers ends in time.

@@ -99,7 +99,7 @@ fn bad_input_exits_with_2_and_one_message_that_says_where_and_what() {
             &["network.loss", "1.5"],
         ),
         (
-            "not_yet",
+            "bad_controller",
             format!("{SCENARIO}[[faults]]\nkind = \"station-crash\"\nat_s = 5.0\nfor_s = 1.0\n"),
             &["--set", "robots.0.roll_controller=nonsense"],
             &["nonsense"],

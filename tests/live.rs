@@ -268,6 +268,7 @@ fn two_demos_run_side_by_side() {
         std::thread::sleep(Duration::from_secs(3));
     }
     let mut endpoints = Vec::new();
+    let mut said = Vec::new();
     for (demo, folder) in demos.into_iter().zip(&folders) {
         let output = demo.wait_with_output().expect("a demo");
         let errors = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -300,8 +301,14 @@ fn two_demos_run_side_by_side() {
             );
         }
         endpoints.push(metrics["live"]["endpoint"].to_string());
+        said.push(errors);
     }
     assert_ne!(endpoints[0], endpoints[1]);
+    assert!(
+        said[1].contains("the router took another port"),
+        "{}",
+        said[1]
+    );
 }
 
 /// Ctrl-C: the robots brake, and the report is written.
@@ -312,9 +319,9 @@ fn an_interrupted_demo_ends_cleanly() {
     let demo = start_demo(&folder, "60");
     std::thread::sleep(Duration::from_secs(8));
     let asked = Instant::now();
-    let pid = demo.id().to_string();
-    let killed = Command::new("kill").args(["-INT", &pid]).status();
-    assert!(killed.expect("kill").success());
+    let kill = format!("kill -INT {}", demo.id());
+    let killed = Command::new("sh").args(["-c", &kill]).status();
+    assert!(killed.expect("a shell").success());
     let output = demo.wait_with_output().expect("a demo");
     // 5 s to rest at most, then sessions close and plots are drawn.
     assert!(

@@ -37,6 +37,7 @@ fn row(robot: &str, index: i64) -> Row {
         mode: Mode::Tracking,
         plan_age: None,
         playing: None,
+        life: 0,
     }
 }
 

@@ -5,12 +5,13 @@ mod board;
 #[path = "support/process.rs"]
 mod process;
 
+use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use board::Board;
-use process::{Program, free_port};
+use process::{Program, free_port, free_udp_port};
 use sphere_protocol::io::bus::{Bus, Declared, Received, Role};
 use sphere_protocol::message::{DropReason, Mode, Status, Telemetry};
 use sphere_protocol::wire;
@@ -223,7 +224,8 @@ fn killed_station_leaves_the_robot_at_rest_and_the_next_one_picks_it_up() {
     assert!(jump < 0.05, "{jump} m/s in 20 ms");
 }
 
-/// A station that is started anew at once, under another identity, has the robot before its last plan has been played: it never brakes.
+/// A station that is started anew at once, under another identity, has the robot before its last plan has been played: it never
+/// has to hold. Its mission begins anew, for which this robot turns round.
 #[test]
 fn station_restarted_at_once_takes_over_before_the_last_plan_ends() {
     let mut fleet = Fleet::rolling("restart", None);
@@ -323,7 +325,7 @@ fn frozen_agent_is_known_within_a_second() {
     println!("measured: agent frozen to no command {silent:?}, to others knowing {known:?}");
     assert!(silent < Duration::from_millis(120), "{silent:?}");
     assert!(known < Duration::from_millis(1300), "{known:?}");
-    // It wakes up in a world that has gone on: its sensor frames are old, and it must not drive from them.
+    // It wakes up in a world that has gone on: from the newest frame that waits for it, or in fault if that is too old.
     let woken = fleet.agent.signal("CONT");
     let back = listener.first(woken, 5 * SECOND, "telemetry again", |m| {
         telemetry(m).is_some()
@@ -393,4 +395,167 @@ fn router_that_dies_and_returns_costs_a_second_at_most() {
     println!("measured: router back to tracking {tracking:?}");
     assert!(tracking < Duration::from_millis(1500), "{tracking:?}");
     drop(station);
+}
+
+/// An agent that sleeps for less than its board's frames are kept goes on from the newest of them: nothing was lost.
+#[test]
+fn agent_that_slept_briefly_goes_on() {
+    let fleet = Fleet::rolling("nap", Some(1));
+    for nap in [120, 200, 400] {
+        let stopped = fleet.agent.signal("STOP");
+        sleep(Duration::from_millis(nap));
+        let woken = fleet.agent.signal("CONT");
+        let torque = fleet
+            .board
+            .first(woken, SECOND, "torque again", |t| t.commanded);
+        sleep(SECOND);
+        let slowest = fleet.board.since(stopped).into_iter().map(|t| t.v);
+        let slowest = slowest.fold(f64::INFINITY, f64::min);
+        println!(
+            "measured: {nap} ms asleep, torque {torque:?} after waking, slowest {slowest:.3} m/s"
+        );
+        assert!(torque < Duration::from_millis(150), "{torque:?}");
+        fleet.rolls(woken);
+    }
+    let text = fleet.agent.text();
+    assert!(!text.contains("to=Fault"), "{text}");
+}
+
+/// The deployed four, each a process: plants, agent, station, and whatever the router is.
+struct Deployed {
+    plants: Program,
+    agent: Program,
+    /// Of the motor link: the agent's, the board's.
+    ports: [u16; 2],
+    listener: Listener,
+}
+
+impl Deployed {
+    /// Plants and an agent that is a client of the router on `port`.
+    fn start(name: &str, port: u16) -> Self {
+        let [agent, board] = [free_udp_port(), free_udp_port()];
+        let local = |port| SocketAddr::from(([127, 0, 0, 1], port));
+        Self {
+            plants: Program::plants(&format!("{name}-plants"), agent, board),
+            agent: Program::agent(&format!("{name}-agent"), local(agent), local(board), port),
+            ports: [agent, board],
+            listener: Listener::on(port),
+        }
+    }
+
+    /// When its telemetry first said so from `begin` on.
+    fn reports(
+        &self,
+        begin: Instant,
+        limit: Duration,
+        what: &str,
+        is_it: impl Fn(&Telemetry) -> bool,
+    ) -> Duration {
+        let said = |m: &Received| telemetry(m).is_some_and(|t| is_it(&t));
+        self.listener.first(begin, limit, what, said).0
+    }
+
+    fn rolls(&self, begin: Instant) -> Duration {
+        let took = self.reports(begin, 30 * SECOND, "it drives", |t| {
+            t.mode == Mode::Tracking && t.state.v > 0.3
+        });
+        sleep(SECOND);
+        took
+    }
+}
+
+/// Promise: a board that dies or hangs is a fault with zero torque within 100 ms and a control step. It is latched, whether the board comes
+/// back or not, and the station does not arm again by itself.
+#[test]
+fn dead_or_frozen_plants_are_a_fault_with_zero_torque() {
+    for (signal, what) in [("STOP", "frozen"), ("KILL", "killed")] {
+        let port = free_port();
+        let station = Program::station(&format!("board-{what}-station"), Some(1), port);
+        station.says(Instant::now() - SECOND, 5 * SECOND, "station ready");
+        let mut fleet = Deployed::start(&format!("board-{what}"), port);
+        fleet.rolls(Instant::now());
+
+        let ended = fleet.plants.signal(signal);
+        let fault = fleet.agent.says(
+            ended,
+            2 * SECOND,
+            "to=Fault reason=no valid sensor frame for 100 ms",
+        );
+        let known = fleet.reports(ended, 2 * SECOND, "zero torque", |t| {
+            t.mode == Mode::Fault && t.torque == [0.0; 2]
+        });
+        println!(
+            "measured: plants {what} to fault {fault:?}, to others knowing of zero torque {known:?}"
+        );
+        // 100 ms from the last frame, the next control step, the log line's way here; the next telemetry.
+        assert!(fault < Duration::from_millis(200), "{fault:?}");
+        assert!(known < Duration::from_millis(300), "{known:?}");
+
+        let latched = Instant::now();
+        if signal == "STOP" {
+            fleet.plants.signal("CONT");
+        } else {
+            let [agent, board] = fleet.ports;
+            fleet.plants.ends(SECOND);
+            fleet.plants = Program::plants("board-again", agent, board);
+        }
+        sleep(3 * SECOND);
+        let heard = fleet.listener.since(latched);
+        let telemetry: Vec<_> = heard.iter().filter_map(|(_, m)| telemetry(m)).collect();
+        assert!(telemetry.len() > 50, "{} heard", telemetry.len());
+        for telemetry in telemetry {
+            let Telemetry { mode, torque, .. } = telemetry;
+            assert_eq!((mode, torque), (Mode::Fault, [0.0; 2]));
+        }
+    }
+}
+
+/// Neither station nor agent is the router, by configuration alone: examples/station.toml with its other line. The router is a plain
+/// Zenoh session; it closes, and a new one takes its place.
+#[test]
+fn station_of_an_outside_router_drives_its_fleet_through_the_routers_return() {
+    let port = free_port();
+    let role = Role::Router {
+        listen: vec![format!("tcp/127.0.0.1:{port}")],
+    };
+    let open = || Bus::open(&role, 5 * SECOND).expect("a free port");
+    let mut router = open();
+    let example = include_str!("../examples/station.toml");
+    let [listen, connect] = [
+        "listen = [\"tcp/127.0.0.1:7447\"]",
+        "# connect = [\"tcp/127.0.0.1:7447\"]",
+    ];
+    assert!(example.contains(listen) && example.contains(connect));
+    let config = example
+        .replace(listen, "")
+        .replace(connect, &connect[2..])
+        .replace("7447", &port.to_string());
+    let ground = env!("CARGO_BIN_EXE_sphere-ground");
+    let mut station = Program::start(ground, "serve", "outside-station", &config);
+    let fleet = Deployed::start("outside", port);
+    let begin = Instant::now();
+    station.says(begin - SECOND, 5 * SECOND, "client of tcp/127.0.0.1");
+    println!("measured: from nothing to driving {:?}", fleet.rolls(begin));
+
+    for away in [Duration::from_millis(900), 3 * SECOND] {
+        router.close();
+        sleep(away);
+        // From the call on: the fleet may be back before it returns.
+        let begin = Instant::now();
+        router = open();
+        let opening = begin.elapsed();
+        let heard = fleet.reports(begin, 3 * SECOND, "telemetry", |_| true);
+        let (planned, _) = fleet.listener.first(begin, 3 * SECOND, "a plan", |m| {
+            m.key.ends_with("/down/plan")
+        });
+        let tracking = fleet.reports(begin, 3 * SECOND, "it tracks", |t| t.mode == Mode::Tracking);
+        println!(
+            "measured: router away for {away:?}, opened in {opening:?}: to telemetry {heard:?}, plans {planned:?}, tracking {tracking:?}"
+        );
+        assert!(planned < opening + SECOND, "{planned:?}");
+        assert!(tracking < opening + SECOND, "{tracking:?}");
+        fleet.rolls(begin);
+    }
+    station.signal("TERM");
+    assert!(station.ends(2 * SECOND).0.success());
 }

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use sphere_ground::settings::{Compensation, PlannerMode};
 use sphere_ground::trajectory::Mission;
-use sphere_sim::scenario::{Environment, Loss, Place, Problem, Scenario, ScenarioError};
+use sphere_sim::scenario::{Environment, Loss, Scenario, ScenarioError};
 
 const MINIMAL: &str = "[[robots]]\nid = \"r1\"\n";
 
@@ -349,71 +349,6 @@ fn text_that_is_no_toml_is_refused_with_its_line() {
     assert_eq!(message.lines().count(), 1);
     let huge = refusal(&format!("seed = 99999999999999999999\n{MINIMAL}"), &[]);
     assert!(huge.starts_with("demo.toml:1:"), "{huge}");
-}
-
-#[test]
-fn what_the_simulator_cannot_do_is_refused_by_name_and_never_ignored() {
-    for (text, line, key, what) in [
-        (
-            "[network]\nburst = { mean_bad_s = 1.0, mean_good_s = 20.0 }",
-            2,
-            "network.burst",
-            "bursts",
-        ),
-        (
-            "[network]\nduplicate = 0.1",
-            2,
-            "network.duplicate",
-            "duplicated",
-        ),
-        (
-            "[network.down]\nbandwidth_kbps = 64",
-            2,
-            "network.down.bandwidth_kbps",
-            "bandwidth",
-        ),
-        ("[network]\nqueue_ms = 100", 2, "network.queue_ms", "queues"),
-        (
-            "[network]\npartition = [ { from_s = 1, to_s = 2 } ]",
-            2,
-            "network.partition",
-            "partitions",
-        ),
-        (
-            "[[faults]]\nkind = \"freeze\"\nat_s = 1\nfor_s = 1",
-            1,
-            "faults",
-            "faults",
-        ),
-    ] {
-        let error = parse(&format!("{text}\n{MINIMAL}"), &[]).expect_err(text);
-        assert_eq!(
-            (error.key.as_str(), &error.place),
-            (key, &Place::Line(line)),
-            "{error}"
-        );
-        assert!(matches!(*error.problem, Problem::NotYet { .. }), "{error}");
-        assert!(
-            error.to_string().contains(what) && error.to_string().contains("yet"),
-            "{error}"
-        );
-    }
-    for (lines, key) in [("clock_drift_ppm = 50.0", "robots.0.clock_drift_ppm")] {
-        let error = parse(&robot(lines), &[]).expect_err(lines);
-        assert_eq!(
-            (error.key.as_str(), &error.place),
-            (key, &Place::Line(3)),
-            "{error}"
-        );
-        assert!(matches!(*error.problem, Problem::NotYet { .. }), "{error}");
-    }
-    // What asks for nothing is no such request.
-    read(
-        &format!(
-            "faults = []\n[network]\nduplicate = 0\nbandwidth_kbps = 0.0\npartition = []\n{MINIMAL}"
-        ),
-        &[],
-    );
 }
 
 #[test]

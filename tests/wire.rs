@@ -124,6 +124,8 @@ fn every_mode_order_and_source_round_trips() {
         PlanSource::Riccati,
         PlanSource::Clarabel,
         PlanSource::Shifted,
+        PlanSource::Steps,
+        PlanSource::Course,
     ];
     for (number, source) in sources.into_iter().enumerate() {
         assert_eq!(source as usize, number);
@@ -742,7 +744,7 @@ prop_compose! {
         lead in -3_600_000_000_000..=3_600_000_000_000_i64,
         period in 1_000_000..=10_000_000_000_i64,
         valid_for in 1..=3_600_000_i64,
-        source in proptest::sample::select(vec![PlanSource::Riccati, PlanSource::Clarabel, PlanSource::Shifted]),
+        source in proptest::sample::select(vec![PlanSource::Riccati, PlanSource::Clarabel, PlanSource::Shifted, PlanSource::Steps, PlanSource::Course]),
         gains in any::<bool>(),
         knots in 1..=KNOTS_MAX,
         values in proptest::collection::vec(any_f32(), 17),

@@ -282,6 +282,11 @@ impl Agent {
         self.mode.mode()
     }
 
+    /// Why it is in this mode.
+    pub fn reason(&self) -> Reason {
+        self.mode.reason()
+    }
+
     /// Signals of the last control step.
     pub fn signals(&self) -> &Signals {
         &self.signals

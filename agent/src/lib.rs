@@ -57,6 +57,7 @@ pub mod config_file;
 pub mod control;
 pub mod estimator;
 pub mod gains;
+pub mod gains_table;
 pub mod mode;
 pub mod model;
 pub mod plan;

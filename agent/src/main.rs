@@ -7,10 +7,13 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow};
 use clap::{Args, Parser, Subcommand};
 use sphere_agent::config_file::AgentFile;
+use sphere_agent::gains_table::GainsTable;
 use sphere_agent::run::{Report, RunError, Setup, run};
+use sphere_protocol::document::shared::LogFormat;
 use sphere_protocol::io::link::UdpLink;
 use sphere_protocol::io::{log, stop};
 use sphere_protocol::message::DropReason;
+use sphere_protocol::robot::Robot;
 use tracing::info;
 
 /// Agent of one spherical robot: follows the station's plans, drives the motor board.
@@ -30,6 +33,19 @@ enum Command {
     /// Ctrl-C or SIGTERM: brake to rest, then zero torque, within 5 s; a second one: zero torque now.
     /// Exit code 0: ended as asked; 1: ended by a fault; 2: the configuration is not usable.
     Run(RunArgs),
+    /// Show each condition of stability that a robot's gains must meet, with its margin
+    ///
+    /// Exit code 0: all hold; 1: one does not; 2: the file is not usable.
+    Gains(GainsArgs),
+}
+
+#[derive(Args)]
+struct GainsArgs {
+    /// A robot file, or the name of a robot that comes with the project (liu)
+    robot: String,
+    /// Print the conditions as JSON, and nothing else, on standard output
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Args)]
@@ -43,10 +59,11 @@ fn main() -> ExitCode {
     let cli = Cli::parse();
     let RunArgs { config } = match cli.command {
         Some(Command::Run(args)) => args,
+        Some(Command::Gains(args)) => return gains(&args),
         None => cli.run,
     };
-    let setup = match prepare(config.as_deref()) {
-        Ok(setup) => setup,
+    let (setup, format) = match prepare(config.as_deref()) {
+        Ok(prepared) => prepared,
         Err(error) => {
             eprintln!("sphere-agent: {error:#}");
             return ExitCode::from(2);
@@ -54,7 +71,7 @@ fn main() -> ExitCode {
     };
     match serve(setup) {
         Ok(report) => {
-            print_report(&report);
+            print_report(&report, format);
             ExitCode::SUCCESS
         }
         Err(error) => {
@@ -69,7 +86,41 @@ fn main() -> ExitCode {
     }
 }
 
-fn prepare(config: Option<&Path>) -> Result<Setup> {
+fn gains(args: &GainsArgs) -> ExitCode {
+    let table = match load_robot(&args.robot).and_then(|robot| Ok(GainsTable::new(&robot)?)) {
+        Ok(table) => table,
+        Err(error) => {
+            eprintln!("sphere-agent: {error:#}");
+            return ExitCode::from(2);
+        }
+    };
+    if args.json {
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&table).expect("plain figures are always JSON")
+        );
+    } else {
+        print!("{}", table.text());
+    }
+    ExitCode::from(u8::from(!table.holds()))
+}
+
+/// The robot of a file, or one that comes with the project.
+fn load_robot(reference: &str) -> Result<Robot> {
+    if let Some(robot) = Robot::embedded(reference) {
+        return Ok(robot);
+    }
+    let text = std::fs::read_to_string(reference).with_context(|| {
+        let known: Vec<_> = Robot::embedded_names().collect();
+        format!(
+            "cannot read the robot file {reference}; robots that come with the project: {}",
+            known.join(", ")
+        )
+    })?;
+    Ok(Robot::parse(reference, &text)?)
+}
+
+fn prepare(config: Option<&Path>) -> Result<(Setup, LogFormat)> {
     let path = config.unwrap_or(Path::new("agent.toml"));
     let file = path.display().to_string();
     let text = match std::fs::read_to_string(path) {
@@ -92,12 +143,14 @@ fn prepare(config: Option<&Path>) -> Result<Setup> {
         robot = %agent.id, model = agent.robot.name, boot_id,
         bind = %agent.motors.bind, board = %agent.motors.board, "agent starts"
     );
-    Ok(Setup {
+    let format = agent.log;
+    let setup = Setup {
         agent: agent.config(boot_id),
         link,
         network: agent.network.into(),
         watch: None,
-    })
+    };
+    Ok((setup, format))
 }
 
 fn serve(setup: Setup) -> Result<Report> {
@@ -116,8 +169,8 @@ fn serve(setup: Setup) -> Result<Report> {
     Ok(report)
 }
 
-/// One line on standard error, whatever the log filter.
-fn print_report(report: &Report) {
+/// One line on standard error: for people whatever the log filter, for programs a line of the log.
+fn print_report(report: &Report, format: LogFormat) {
     let late = &report.lateness;
     let ms = |duration: Option<Duration>| {
         duration.map_or("-".to_owned(), |d| format!("{:.3}", d.as_secs_f64() * 1e3))
@@ -135,12 +188,32 @@ fn print_report(report: &Report) {
     };
     let frames = &report.frames;
     let refused = frames.bad_checksum + frames.unknown + frames.invalid + frames.foreign;
+    let [p50, p99, max] = [
+        late.quantile(0.5),
+        late.quantile(0.99),
+        (late.steps() > 0).then_some(late.max()),
+    ];
+    if format == LogFormat::Json {
+        let ms = |duration: Option<Duration>| duration.map(|d| d.as_secs_f64() * 1e3);
+        info!(
+            control_steps = late.steps(),
+            late_p50_ms = ms(p50),
+            late_p99_ms = ms(p99),
+            late_max_ms = ms(max),
+            dropped = drops,
+            frames = frames.frames,
+            frames_refused = refused,
+            frames_cut_off = frames.cut_off,
+            "ended"
+        );
+        return;
+    }
     eprintln!(
         "sphere-agent: {} control steps, late by p50 {} ms, p99 {} ms, max {} ms; messages dropped: {drops}; {} frames of the board, {} refused, {} cut off",
         late.steps(),
-        ms(late.quantile(0.5)),
-        ms(late.quantile(0.99)),
-        ms((late.steps() > 0).then_some(late.max())),
+        ms(p50),
+        ms(p99),
+        ms(max),
         frames.frames,
         refused,
         frames.cut_off,

@@ -27,6 +27,7 @@ use tracing::{debug, info, warn};
 use crate::agent::{Agent, Event, Input, Output, Payload, Signals};
 use crate::config::AgentConfig;
 use crate::gains::GainsError;
+use crate::mode::Reason;
 
 /// What an agent is run with.
 pub struct Setup {
@@ -45,6 +46,8 @@ pub struct Setup {
 pub struct Snapshot {
     /// Its mode; `None` before its first control step.
     pub mode: Option<Mode>,
+    /// Why it is in that mode.
+    pub reason: Option<Reason>,
     /// Signals of its last control step.
     pub signals: Signals,
     /// When that was.
@@ -66,6 +69,7 @@ impl Default for Snapshot {
     fn default() -> Self {
         Self {
             mode: None,
+            reason: None,
             signals: Signals::default(),
             stepped: Instant::from_nanos(0),
             clock: None,
@@ -136,6 +140,8 @@ const BUCKETS: usize = 1000;
 const BUCKET: Duration = Duration::from_micros(25);
 /// Messages that wait for the control thread: a second of plans and commands.
 const INBOX: usize = 32;
+/// Datagrams taken at once: more than a socket's buffer holds of ours by default, and no flood keeps a step waiting for long.
+const DATAGRAMS_MAX: usize = 512;
 /// Messages that wait for Zenoh.
 const OUTBOX: usize = 256;
 /// How long one attempt to reach the router may take.
@@ -239,11 +245,16 @@ fn control_loop(
     let mut stops_seen = 0;
     loop {
         let due = agent.poll_timeout();
-        if let Some(bytes) = link
-            .receive(&mut buffer, clock.until(due))
-            .map_err(RunError::Link)?
-        {
+        // All that has come, before a step that may be late: what this thread slept through waits in the socket, the oldest first, and a
+        // step after the oldest alone would take the board for silent.
+        let mut patience = clock.until(due);
+        for _ in 0..DATAGRAMS_MAX {
+            let received = link.receive(&mut buffer, patience);
+            let Some(bytes) = received.map_err(RunError::Link)? else {
+                break;
+            };
             agent.handle_input(clock.now(), Input::Motor(bytes));
+            patience = Duration::ZERO;
         }
         while let Some(message) = inbox.pop() {
             agent.handle_input(
@@ -299,6 +310,7 @@ fn control_loop(
         // A display that holds the lock costs it a frame, never this thread a wait.
         if stepped && let Some(Ok(mut shown)) = watch.map(Mutex::try_lock) {
             shown.mode = Some(agent.mode());
+            shown.reason = Some(agent.reason());
             shown.signals = *agent.signals();
             shown.stepped = now;
             shown.clock = Some(clock);

@@ -157,7 +157,7 @@ fn body(robot: &Robot) -> Body {
         disturbance: Disturbance::default(),
         noise: 1.0,
         fix_sigma: 0.02,
-        clock_offset: Span::ZERO,
+        clock: sphere_sim::clock::SimClock::default(),
     };
     Body::new(setup, BodyRandom::new(1, 0))
 }

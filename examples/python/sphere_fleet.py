@@ -7,7 +7,7 @@ import cbor2
 MAJOR = 1
 
 MODES = ["boot", "disarmed", "ready", "idle", "tracking", "holding", "failsafe", "fault"]
-SOURCES = ["riccati", "clarabel", "shifted"]
+SOURCES = ["riccati", "clarabel", "shifted", "steps", "course"]
 ORDERS = ["claim", "release", "arm", "disarm", "hold", "resume"]
 DROPS = [
     "malformed", "version", "wrong robot", "wrong boot", "wrong epoch", "old", "expired", "future", "out of range", "unexpected",

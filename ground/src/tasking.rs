@@ -78,6 +78,11 @@ impl Task {
         )
     }
 
+    /// Whether it is over.
+    pub fn is_done(&self) -> bool {
+        matches!(self.phase, Phase::Done)
+    }
+
     /// When it began, by the station's clock as far as `link` knows.
     pub fn began(&self, link: &Link) -> Option<Instant<GroundClock>> {
         match &self.phase {

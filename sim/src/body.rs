@@ -4,6 +4,7 @@
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 use sphere_protocol::mavlink::{
     AGENT, BOARD, Event, Frame, FrameReader, FrameWriter, Framing, Heartbeat, TorqueCommand,
 };
@@ -12,6 +13,7 @@ use sphere_protocol::state::{BoardStatus, RobotState, Torque};
 use sphere_protocol::time::{BoardClock, Instant, Span};
 
 use crate::actuator::{Actuator, MotorBoard};
+use crate::clock::SimClock;
 use crate::disturbance::Disturbance;
 use crate::plant::{Accelerations, Plant, PlantState};
 use crate::sensor::{PositionSource, Sensors};
@@ -34,8 +36,8 @@ pub struct BodySetup {
     pub noise: f64,
     /// Standard deviation of each axis of a position fix, noise factor included [m].
     pub fix_sigma: f64,
-    /// What the board's clock shows at time zero.
-    pub clock_offset: Span,
+    /// The board's clock.
+    pub clock: SimClock,
 }
 
 /// One robot's hardware at one instant.
@@ -50,7 +52,10 @@ pub struct Body {
     sensors: Sensors,
     positions: PositionSource,
     disturbance: Disturbance,
-    clock_offset: Span,
+    disturbances: ChaCha8Rng,
+    /// The random torque now, on the roll and on the rolling motion [N·m].
+    random_torque: [f64; 2],
+    clock: SimClock,
     reader: FrameReader,
     writer: FrameWriter,
     samples: u32,
@@ -67,6 +72,8 @@ pub struct BodyRandom {
     pub sensors: ChaCha8Rng,
     /// Position fixes.
     pub positions: ChaCha8Rng,
+    /// Random torques.
+    pub disturbances: ChaCha8Rng,
 }
 
 impl BodyRandom {
@@ -75,6 +82,7 @@ impl BodyRandom {
         Self {
             sensors: stream(seed, robot, Purpose::Sensors),
             positions: stream(seed, robot, Purpose::Positions),
+            disturbances: stream(seed, robot, Purpose::Disturbances),
         }
     }
 }
@@ -93,6 +101,18 @@ pub enum Purpose {
     LinkDown = 3,
     /// Clock origins and boot ids.
     Clocks = 4,
+    /// Random torques.
+    Disturbances = 5,
+    /// Bursts of loss from robot to station.
+    WeatherUp = 6,
+    /// Bursts of loss from station to robot.
+    WeatherDown = 7,
+    /// Duplicates and fates in bursts from robot to station.
+    TwinsUp = 8,
+    /// Duplicates and fates in bursts from station to robot.
+    TwinsDown = 9,
+    /// Which packets are replayed.
+    Replay = 10,
 }
 
 /// The random stream of robot number `robot` for one purpose: ChaCha8, the same on every machine.
@@ -122,7 +142,9 @@ impl Body {
             sensors: Sensors::new(setup.noise, random.sensors),
             positions: PositionSource::new(setup.fix_sigma, random.positions),
             disturbance: setup.disturbance,
-            clock_offset: setup.clock_offset,
+            disturbances: random.disturbances,
+            random_torque: [0.0; 2],
+            clock: setup.clock,
             reader: FrameReader::new(Framing::Datagrams, BOARD, Some(AGENT.system)),
             writer: FrameWriter::new(BOARD),
             samples: 0,
@@ -140,6 +162,7 @@ impl Body {
             let torque = self.actuator.step(command);
             self.held &= torque == Torque::default();
             if !self.held {
+                self.wander(dt);
                 let around = self.surroundings();
                 self.state = self.plant.step(&self.state, torque, &around, dt);
             }
@@ -199,7 +222,7 @@ impl Body {
     /// When the next position fix arrives, since the start.
     pub fn next_fix_arrival(&self) -> Option<Span> {
         let arrival = self.positions.next_arrival()?;
-        Some(Span::from_nanos(arrival.as_nanos()) - self.clock_offset)
+        Some(self.clock.when(Span::from_nanos(arrival.as_nanos())))
     }
 
     /// The board's sign of life.
@@ -236,8 +259,23 @@ impl Body {
     fn surroundings(&self) -> crate::disturbance::Surroundings {
         let elapsed = Span::from_nanos(self.steps * STEP.as_nanos()).as_secs_f64();
         let s = &self.state.robot;
-        self.disturbance
-            .surroundings(self.plant.params(), elapsed, s.x, s.y)
+        let mut around = self
+            .disturbance
+            .surroundings(self.plant.params(), elapsed, s.x, s.y);
+        around.roll += self.random_torque[0];
+        around.pitch += self.random_torque[1];
+        around
+    }
+
+    /// Moves the random torque on by one step.
+    fn wander(&mut self, dt: f64) {
+        let random = self.disturbance.random;
+        if random.sigma == 0.0 {
+            return;
+        }
+        for torque in &mut self.random_torque {
+            *torque = random.step(*torque, dt, StandardNormal.sample(&mut self.disturbances));
+        }
     }
 
     /// A repeated or overtaken command is not obeyed (modulo 2³²). Once the last one's validity has run out any number is new:
@@ -253,6 +291,7 @@ impl Body {
     }
 
     fn board_now(&self) -> Instant<BoardClock> {
-        Instant::from_nanos(self.steps * STEP.as_nanos()) + self.clock_offset
+        let elapsed = Span::from_nanos(self.steps * STEP.as_nanos());
+        Instant::from_nanos(self.clock.shows(elapsed).as_nanos())
     }
 }

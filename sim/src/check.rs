@@ -58,7 +58,9 @@ const RULES: &[Rule] = &[
         row.plan_age.is_some_and(|age| age > bounds.plan_age_max)
     }),
     ("plans-never-go-back", |row, before, _| {
-        let last: Option<PlanId> = before.and_then(|before| before.playing);
+        // An agent that has started anew counts from the beginning.
+        let same_life = before.filter(|before| before.life == row.life);
+        let last: Option<PlanId> = same_life.and_then(|before| before.playing);
         matches!((last, row.playing), (Some(last), Some(now)) if now < last)
     }),
 ];
@@ -151,6 +153,7 @@ mod tests {
             mode: Mode::Tracking,
             plan_age: Some(Span::from_millis(300)),
             playing: Some(PlanId { epoch: 1, seq: 7 }),
+            life: 0,
         }
     }
 
@@ -196,6 +199,8 @@ mod tests {
         let mut back = row();
         back.playing = Some(PlanId { epoch: 1, seq: 6 });
         assert_eq!(broken(&[row(), back]), ["plans-never-go-back"]);
+        back.life = 1;
+        assert_eq!(broken(&[row(), back]), Vec::<String>::new());
     }
 
     #[test]

@@ -11,10 +11,13 @@ mod display;
 mod fleet;
 mod verdict;
 
+use std::fmt::Write as _;
 use std::net::SocketAddr;
 use std::str::FromStr;
 use std::time::Duration;
 
+use sphere_agent::mode::Reason;
+use sphere_protocol::message::Mode;
 use sphere_protocol::robot::RobotId;
 use sphere_protocol::time::Span;
 use thiserror::Error;
@@ -82,6 +85,8 @@ pub struct Scene<'a> {
 pub struct SceneRobot {
     /// What it does.
     pub row: Row,
+    /// Why it is in its mode, a sentence; `None` before its first control step.
+    pub reason: Option<Reason>,
     /// The kind of its mission.
     pub mission: &'static str,
     /// Its link to the station.
@@ -203,12 +208,7 @@ pub async fn perform(
             match robots.get(index).map(|before| before.row.mode) {
                 Some(before) if before != mode => events.push(SceneEvent {
                     t,
-                    text: format!(
-                        "{}: {} → {}",
-                        robot.row.robot,
-                        mode_name(before),
-                        mode_name(mode)
-                    ),
+                    text: mode_change(robot, before),
                 }),
                 _ => {}
             }
@@ -297,6 +297,21 @@ pub async fn perform(
         scenario,
         is_interrupted,
     })
+}
+
+/// As in "r1: tracking → fault (no valid sensor frame for 100 ms)".
+fn mode_change(robot: &SceneRobot, before: Mode) -> String {
+    let mut text = format!(
+        "{}: {} → {}",
+        robot.row.robot,
+        mode_name(before),
+        mode_name(robot.row.mode)
+    );
+    if let Some(reason) = robot.reason {
+        // Writing to a String cannot fail.
+        let _ = write!(text, " ({reason})");
+    }
+    text
 }
 
 impl SceneRobot {

@@ -5,17 +5,32 @@ use serde::Deserialize;
 use sphere_protocol::robot::RobotParams;
 
 /// Everything that disturbs one robot. The default disturbs nothing.
-#[derive(Clone, Debug, PartialEq, Default)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Disturbance {
     /// Shell imbalance, A [N·m]: A cos φ_s on the rolling motion, A sin φ_s on the roll. Once a turn of the shell it pushes the robot
     /// ahead, and a quarter turn later to the left.
     pub imbalance: f64,
+    /// Turns of that torque for each turn of the shell [1]: 1 for an unbalanced shell; what else shakes a robot has other rates.
+    pub imbalance_harmonic: f64,
+    /// A torque that wanders, on the roll and on the rolling motion.
+    pub random: RandomTorque,
+    /// By how much sticking joints exceed their Coulomb friction at rest [N·m].
+    pub stiction: f64,
     /// Torques for a while; those that overlap add up.
     pub pushes: Vec<Push>,
     /// Rise of the floor along world X and Y, tangents [1].
     pub slope: [f64; 2],
     /// Floor of other rolling resistance; where patches overlap the last one counts.
     pub patches: Vec<Patch>,
+}
+
+/// A random torque: stationary, Gaussian, with an exponential correlation in time (Ornstein-Uhlenbeck).
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct RandomTorque {
+    /// Standard deviation [N·m].
+    pub sigma: f64,
+    /// Correlation time [s].
+    pub correlation: f64,
 }
 
 /// A torque from outside, for a while.
@@ -53,10 +68,39 @@ pub struct Surroundings {
     pub pitch: f64,
     /// Shell imbalance, A [N·m].
     pub imbalance: f64,
+    /// Turns of that torque for each turn of the shell [1].
+    pub imbalance_harmonic: f64,
+    /// By how much sticking joints exceed their Coulomb friction at rest [N·m].
+    pub stiction: f64,
     /// The vertical, a unit vector on the floor's X, Y and normal.
     pub up: [f64; 3],
     /// Rolling resistance coefficient of the floor here [1].
     pub c_rr: f64,
+}
+
+impl Default for Disturbance {
+    fn default() -> Self {
+        Self {
+            imbalance: 0.0,
+            imbalance_harmonic: 1.0,
+            random: RandomTorque::default(),
+            stiction: 0.0,
+            pushes: Vec::new(),
+            slope: [0.0; 2],
+            patches: Vec::new(),
+        }
+    }
+}
+
+impl RandomTorque {
+    /// The torque `dt` [s] after `torque` [N·m], given a standard normal number.
+    pub fn step(&self, torque: f64, dt: f64, normal: f64) -> f64 {
+        if self.sigma == 0.0 {
+            return 0.0;
+        }
+        let kept = (-dt / self.correlation).exp();
+        kept * torque + self.sigma * (1.0 - kept * kept).sqrt() * normal
+    }
 }
 
 impl Disturbance {
@@ -66,6 +110,8 @@ impl Disturbance {
     pub fn surroundings(&self, params: &RobotParams, at: f64, x: f64, y: f64) -> Surroundings {
         let mut around = Surroundings::level(params);
         around.imbalance = self.imbalance;
+        around.imbalance_harmonic = self.imbalance_harmonic;
+        around.stiction = self.stiction;
         for push in &self.pushes {
             if at >= push.at_s && at < push.at_s + push.for_s {
                 around.roll += push.roll_nm;
@@ -96,6 +142,8 @@ impl Surroundings {
             roll: 0.0,
             pitch: 0.0,
             imbalance: 0.0,
+            imbalance_harmonic: 1.0,
+            stiction: 0.0,
             up: [0.0, 0.0, 1.0],
             c_rr: params.c_rr,
         }
@@ -106,7 +154,7 @@ impl Surroundings {
         if self.imbalance == 0.0 {
             return (self.roll, self.pitch);
         }
-        let (sin, cos) = phi_s.sin_cos();
+        let (sin, cos) = (self.imbalance_harmonic * phi_s).sin_cos();
         (
             self.roll + self.imbalance * sin,
             self.pitch + self.imbalance * cos,

@@ -3,19 +3,28 @@
 /// Rate over which Coulomb friction reaches tanh(1) of its value [rad/s]: a smooth sign, so that a fixed step can integrate it.
 const COULOMB_RATE: f64 = 0.05;
 
+/// Rate by which the excess of a sticking joint has gone [rad/s].
+const STRIBECK_RATE: f64 = 0.2;
+
 /// Keeps the division by the shell's rate defined at rest, where the resistance itself is zero [rad/s].
 const REST_RATE: f64 = 1e-9;
 
-/// Torque of a joint against its own rate [N·m]: ζ ω + τ_c tanh(ω / 0.05 rad/s), of the sign of `rate`.
+/// Torque of a joint against its own rate [N·m]: ζ ω + (τ_c + τ_s e^(−(ω/ω_s)²)) tanh(ω / 0.05 rad/s), of the sign of `rate`; τ_s is
+/// the Stribeck excess of a joint that sticks, ω_s = 0.2 rad/s.
 ///
 /// Bearing damping acts on the *relative* rate of the two bodies that the motor joins (E13), not on ẋ cos α as the paper prints.
-/// `zeta` [N·m·s/rad], `coulomb` [N·m], `rate` [rad/s].
-pub fn joint(zeta: f64, coulomb: f64, rate: f64) -> f64 {
+/// `zeta` [N·m·s/rad], `coulomb` and `stiction` [N·m], `rate` [rad/s].
+pub fn joint(zeta: f64, coulomb: f64, stiction: f64, rate: f64) -> f64 {
     let viscous = zeta * rate;
-    if coulomb == 0.0 {
+    let mut dry = coulomb;
+    if stiction != 0.0 {
+        let share = rate / STRIBECK_RATE;
+        dry += stiction * (-share * share).exp();
+    }
+    if dry == 0.0 {
         return viscous;
     }
-    viscous + coulomb * tanh(rate / COULOMB_RATE)
+    viscous + dry * tanh(rate / COULOMB_RATE)
 }
 
 /// Rolling resistance: the force against `v` [N] and the torque against `q_r_rate` [N·m], each of the sign of its rate.

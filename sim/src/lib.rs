@@ -35,6 +35,7 @@
 pub mod actuator;
 pub mod body;
 pub mod check;
+pub mod clock;
 #[cfg(feature = "io")]
 pub mod demo;
 pub mod disturbance;

@@ -147,8 +147,8 @@ impl Plant {
         let (p, s) = (&self.params, &state.robot);
         let (pitch_rate, roll_rate) = (state.theta_p_rate(p.r), state.theta_r_rate());
         let (force, torque) = self.rolling_resistance(s, around);
-        friction::joint(p.zeta, p.coulomb, pitch_rate) * pitch_rate
-            + friction::joint(p.zeta, p.coulomb, roll_rate) * roll_rate
+        friction::joint(p.zeta, p.coulomb, around.stiction, pitch_rate) * pitch_rate
+            + friction::joint(p.zeta, p.coulomb, around.stiction, roll_rate) * roll_rate
             + force * s.v
             + torque * s.q_r_rate
     }
@@ -227,8 +227,9 @@ impl Plant {
     ) -> [f64; 4] {
         let (p, s) = (&self.params, &state.robot);
         let pitch_rate = s.alpha_rate + s.v * shell_v;
-        let pitch = torque.pitch - friction::joint(p.zeta, p.coulomb, pitch_rate);
-        let roll = torque.roll - friction::joint(p.zeta, p.coulomb, s.beta_rate + s.q_r_rate);
+        let pitch = torque.pitch - friction::joint(p.zeta, p.coulomb, around.stiction, pitch_rate);
+        let roll_rate = s.beta_rate + s.q_r_rate;
+        let roll = torque.roll - friction::joint(p.zeta, p.coulomb, around.stiction, roll_rate);
         let (resisting_force, resisting_torque) = self.rolling_resistance(s, around);
         let (push_roll, push_pitch) = around.torques(state.phi_s);
         [

@@ -400,11 +400,11 @@ fn settling_key(settled: f64) -> Vec<Key<'static>> {
     }
 }
 
-/// From the first row to the last, never empty.
+/// From the first row to the end of the last, never empty.
 fn time(rows: &[&Row]) -> (f64, f64) {
-    let at = |row: Option<&&Row>| row.map_or(0.0, |row| row.t.as_secs_f64());
-    let (from, to) = (at(rows.first()), at(rows.last()));
-    (from, to.max(from + 1e-3))
+    let at = |row: Option<&&Row>| row.map_or(Span::ZERO, |row| row.t);
+    let (from, to) = (at(rows.first()), at(rows.last()) + ROW_PERIOD);
+    (from.as_secs_f64(), to.as_secs_f64())
 }
 
 /// A range around zero that holds every point, at least ±`least`.

@@ -2,7 +2,7 @@
 //!
 //! A [`Scenario`] holds exactly what the file says, every default filled in, in the file's own units, which end each name (`_ms`,
 //! `_deg`); methods give SI. So [`Scenario::drawn`] writes a file that reads back equal and replays the run. Reading touches
-//! no files: the caller passes the texts. Only what the simulator can do is accepted (`not_yet.rs`).
+//! no files: the caller passes the texts.
 //!
 //! ```
 //! use sphere_ground::trajectory::Mission;
@@ -19,7 +19,6 @@
 
 mod drawn;
 mod names;
-mod not_yet;
 mod read;
 mod robots;
 
@@ -30,6 +29,8 @@ use sphere_ground::trajectory::Mission;
 use sphere_protocol::robot::{Robot, RobotId, RobotParams};
 use sphere_protocol::time::Span;
 
+pub use crate::disturbance::Patch;
+pub use crate::network::Distributed;
 pub use names::{Environment, FaultKind, RollController};
 pub use sphere_protocol::document::error::{DocumentError as ScenarioError, Place, Problem};
 
@@ -74,6 +75,8 @@ pub struct Link {
     pub delay_ms: f64,
     /// Standard deviation of the delay, truncated at 0 [ms]; packets may overtake each other. Default 0.
     pub jitter_ms: f64,
+    /// How delays are distributed about their mean. Default normal.
+    pub distribution: Distributed,
     /// How packets are lost.
     pub loss: Loss,
     /// Probability that a packet arrives twice [1]. Default 0.
@@ -192,6 +195,18 @@ pub struct Start {
 pub struct Disturbance {
     /// Amplitude of the shell's imbalance, a torque at its rolling frequency [N·m]. Default by environment: 0, 0.2, 2.3.
     pub imbalance_nm: f64,
+    /// Turns of that torque for each turn of the shell [1]. Default 1.
+    pub imbalance_harmonic: f64,
+    /// Standard deviation of a random torque on the roll and on the rolling motion [N·m]. Default 0.
+    pub random_nm: f64,
+    /// Its correlation time [s]. Default 0.3.
+    pub random_correlation_s: f64,
+    /// By how much sticking joints exceed their Coulomb friction at rest [N·m]. Default 0.
+    pub stiction_nm: f64,
+    /// Rise of the floor along world X and Y [°]. Default level.
+    pub slope_deg: [f64; 2],
+    /// Floor of other rolling resistance; where patches overlap the last one counts.
+    pub patches: Vec<Patch>,
     /// Pushes, each a constant torque for a time.
     pub pushes: Vec<Push>,
 }
@@ -203,6 +218,8 @@ pub struct Push {
     pub at_s: f64,
     /// Torque on the sphere about its rolling axis to the left, > 0 rolls it left [N·m].
     pub roll_nm: f64,
+    /// Torque on the rolling motion, > 0 drives it forward [N·m]. Default 0.
+    pub pitch_nm: f64,
     /// Length [s].
     pub for_s: f64,
 }
@@ -260,6 +277,7 @@ impl Default for Link {
         Self {
             delay_ms: 0.0,
             jitter_ms: 0.0,
+            distribution: Distributed::Normal,
             loss: Loss::Independent(0.0),
             duplicate: 0.0,
             bandwidth_kbps: 0.0,

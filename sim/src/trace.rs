@@ -41,6 +41,8 @@ pub struct Row {
     pub plan_age: Option<Span>,
     /// The plan in play.
     pub playing: Option<PlanId>,
+    /// How often its agent has started again.
+    pub life: u32,
 }
 
 /// What a mission asks for at one instant.
@@ -166,6 +168,7 @@ impl Row {
         digest.update(robot);
         digest.update(self.t.as_nanos().to_le_bytes());
         digest.update([self.mode as u8]);
+        digest.update(self.life.to_le_bytes());
         let mut numbers = |values: &[f64]| {
             digest.update([values.len() as u8]);
             for value in values {

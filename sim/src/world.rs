@@ -4,33 +4,40 @@
 //! between board and agent, CBOR messages between agent and station. Events are ordered by time and, at the same time, by the
 //! order in which they were caused; every random number comes from a stream named after its robot and purpose.
 
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+mod process;
+mod setup;
 
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap, VecDeque};
+
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardUniform};
 use sphere_agent::agent::{Agent, Event as AgentEvent, Input as AgentInput, Output as AgentOutput};
-use sphere_agent::config::{AgentConfig, Timing};
-use sphere_agent::control::DirectionChoice;
-use sphere_agent::estimator::{EstimatorConfig, StartPose};
+use sphere_agent::estimator::StartPose;
 use sphere_agent::gains::GainsError;
+use sphere_ground::session::Counters;
 use sphere_ground::station::{
-    Event as StationEvent, Input as StationInput, Output as StationOutput, RobotConfig, Station,
-    StationConfig,
+    Event as StationEvent, Input as StationInput, Output as StationOutput, Station,
 };
 use sphere_ground::tasking::StartCondition;
-use sphere_ground::trajectory::{ReferencePoint, Trajectory};
+use sphere_ground::trajectory::Trajectory;
 use sphere_protocol::key::Key;
-use sphere_protocol::message::PlanId;
+use sphere_protocol::message::{Message, PlanId, SetpointPlan};
 use sphere_protocol::robot::RobotId;
 use sphere_protocol::time::{AgentClock, GroundClock, Instant, Span};
 
-use crate::body::{BOARD_HEARTBEAT, Body, BodyRandom, BodySetup, Purpose, stream};
-use crate::disturbance::{Disturbance, Push};
+use crate::body::{BOARD_HEARTBEAT, Body, BodyRandom, Purpose, stream};
+use crate::clock::SimClock;
 use crate::metrics::{RobotRecord, RollStep, SolverCounts};
-use crate::network::{Link, LinkModel};
-use crate::scenario::{self, Loss, RobotSetup, RollController, Scenario};
+use crate::network::{Link, LinkRandom};
+use crate::scenario::{self, FaultKind, RobotSetup, Scenario};
 use crate::sensor::Sensors;
-use crate::trace::{Command, ROW_PERIOD, Reference, Row, Trace};
+use crate::trace::{Command, ROW_PERIOD, Row, Trace};
+use process::{Process, Waiting};
+pub(crate) use setup::{
+    agent_config, body_setup, drawn_clocks, link_model, reference, station_config,
+};
 
 /// Virtual time since the world began.
 type WorldTime = Span;
@@ -40,10 +47,18 @@ pub struct World {
     robots: Vec<SimRobot>,
     station: Station,
     station_clock: Span,
+    /// Identity of the first station; each later one's is one higher.
+    station_id: u64,
     /// The station's timeout that is in the queue.
     station_due: WorldTime,
     queue: BinaryHeap<Reverse<Entry>>,
     caused: u64,
+    scenario: Scenario,
+    station_process: Process,
+    /// Stations before this one.
+    station_lives: u64,
+    /// What they sent.
+    earlier_plans: BTreeMap<RobotId, Counters>,
     trace: Trace,
     reports: Vec<Report>,
     tamper: Option<Tamper>,
@@ -85,16 +100,37 @@ struct SimRobot {
     id: RobotId,
     body: Body,
     agent: Agent,
-    /// What the agent's clock shows at time zero.
-    clock: Span,
+    /// The agent's clock.
+    clock: SimClock,
+    process: Process,
+    /// How often its agent has started again.
+    lives: u32,
+    /// Plans that its agents' earlier lives adopted.
+    earlier_adopted: u64,
     agent_due: WorldTime,
+    /// What goes wrong on its link now.
+    link_faults: LinkFaults,
     up: Link,
     down: Link,
     fix_period: Option<Span>,
     mission_started: Option<WorldTime>,
+    /// The mission that runs, and since when, also while its station is gone.
+    mission: Option<(Trajectory, WorldTime)>,
     roll_step: Option<RollStep>,
     newest_plan: Option<PlanId>,
     loop_delays: Vec<Span>,
+}
+
+/// Faults of one robot's link that a scenario has begun and not ended.
+struct LinkFaults {
+    /// Packets handed over now arrive no sooner.
+    stale_until: Option<WorldTime>,
+    /// Plans leave the station later by this.
+    slow_planner: Span,
+    /// Packets to send again, with where they went; empty unless the scenario replays some.
+    recorded: VecDeque<(Inject, Vec<u8>, Vec<u8>)>,
+    records: bool,
+    random: ChaCha8Rng,
 }
 
 struct Entry {
@@ -128,6 +164,15 @@ enum Happening {
         robot: usize,
     },
     StationTimeout,
+    FaultBegins {
+        fault: usize,
+    },
+    FaultEnds {
+        fault: usize,
+    },
+    Replay {
+        fault: usize,
+    },
     ToAgent {
         robot: usize,
         key: Vec<u8>,
@@ -146,6 +191,12 @@ const MOTOR_LINK: Span = Span::from_millis(1);
 const CONTROL_TIME: Span = Span::from_nanos(500_000);
 /// A plan takes some 20 µs; this leaves room for a station that plans for many.
 const PLANNING_TIME: Span = Span::from_millis(2);
+/// How much longer it takes while a scenario slows the planner: six of its periods.
+const SLOW_PLANNING: Span = Span::from_millis(600);
+/// Time between two packets that are sent again while a scenario replays them.
+const REPLAY_PERIOD: Span = Span::from_millis(50);
+/// Packets kept to be sent again: some 10 s of a robot's.
+const RECORDED_MAX: usize = 512;
 /// Origins of the clocks that nobody asked for are drawn up to this far apart [s].
 const CLOCK_SPREAD: f64 = 1000.0;
 
@@ -165,15 +216,20 @@ impl World {
             .enumerate()
             .map(|(index, setup)| SimRobot::new(scenario, index, setup))
             .collect::<Result<Vec<_>, _>>()?;
-        let config = station_config(scenario, station_id);
+        let config = setup::station_config(scenario, station_id);
         let station = Station::new(config, Instant::from_nanos(0) + station_clock);
         let mut world = Self {
             robots,
             station,
             station_clock,
+            station_id,
             station_due: Span::ZERO,
             queue: BinaryHeap::new(),
             caused: 0,
+            scenario: scenario.clone(),
+            station_process: Process::default(),
+            station_lives: 0,
+            earlier_plans: BTreeMap::new(),
             trace: Trace::new(),
             reports: Vec::new(),
             tamper: None,
@@ -188,6 +244,12 @@ impl World {
         }
         world.schedule(Span::ZERO, Happening::StationTimeout);
         world.schedule(Span::ZERO, Happening::Sample);
+        for (fault, set) in scenario.faults.iter().enumerate() {
+            let begin = Span::from_secs_f64(set.at_s);
+            world.schedule(begin, Happening::FaultBegins { fault });
+            let end = begin + Span::from_secs_f64(set.for_s);
+            world.schedule(end, Happening::FaultEnds { fault });
+        }
         Ok(world)
     }
 
@@ -316,6 +378,9 @@ impl World {
                     },
                 );
             }
+            Happening::FaultBegins { fault } => self.fault_begins(now, fault),
+            Happening::FaultEnds { fault } => self.fault_ends(now, fault),
+            Happening::Replay { fault } => self.replay(now, fault),
             Happening::StationTimeout => {
                 if self.station_due == now {
                     self.station_input(now, StationInput::Timeout);
@@ -344,7 +409,16 @@ impl World {
 
     fn agent_input(&mut self, now: WorldTime, robot: usize, input: AgentInput<'_>) {
         let cell = &mut self.robots[robot];
-        let agent_now = Instant::<AgentClock>::from_nanos(now.as_nanos()) + cell.clock;
+        if !cell.process.is_running() {
+            return match input {
+                AgentInput::Motor(bytes) => cell.process.store_frame(bytes),
+                AgentInput::Message { key, bytes } => {
+                    cell.process.store_message(key.as_bytes(), bytes);
+                }
+                _ => {}
+            };
+        }
+        let agent_now = cell.agent_now(now);
         cell.agent.handle_input(agent_now, input);
         while let Some(output) = self.robots[robot].agent.poll_output() {
             match output {
@@ -366,12 +440,12 @@ impl World {
                         continue;
                     };
                     let key = key.text().as_bytes().to_vec();
-                    if let Some(delay) = cell.up.transmit(bytes.len()) {
-                        let bytes = bytes.to_vec();
-                        self.schedule(
-                            now + CONTROL_TIME + delay,
-                            Happening::ToStation { key, bytes },
-                        );
+                    cell.link_faults.record(Inject::Station, &key, &bytes);
+                    for delay in cell.up.transmit(now, bytes.len()) {
+                        let (key, bytes) = (key.clone(), bytes.to_vec());
+                        let arrival = now + CONTROL_TIME + delay;
+                        let arrival = self.robots[robot].link_faults.held(arrival);
+                        self.schedule(arrival, Happening::ToStation { key, bytes });
                     }
                 }
                 AgentOutput::Event(event) => {
@@ -381,7 +455,7 @@ impl World {
             }
         }
         let cell = &mut self.robots[robot];
-        let due = Span::from_nanos(cell.agent.poll_timeout().as_nanos()) - cell.clock;
+        let due = cell.world_time(cell.agent.poll_timeout());
         if due != cell.agent_due || due <= now {
             cell.agent_due = due.max(now);
             let at = cell.agent_due;
@@ -390,6 +464,12 @@ impl World {
     }
 
     fn station_input(&mut self, now: WorldTime, input: StationInput<'_>) {
+        if !self.station_process.is_running() {
+            if let StationInput::Message { key, bytes } = input {
+                self.station_process.store_message(key.as_bytes(), bytes);
+            }
+            return;
+        }
         let station_now = Instant::<GroundClock>::from_nanos(now.as_nanos()) + self.station_clock;
         self.station.handle_input(station_now, input);
         while let Some(output) = self.station.poll_output() {
@@ -404,13 +484,17 @@ impl World {
                     let Some(robot) = self.robots.iter().position(|cell| cell.id == id) else {
                         continue;
                     };
+                    let cell = &mut self.robots[robot];
+                    let mut leaves = now + PLANNING_TIME;
+                    if key.ends_with(SetpointPlan::TOPIC) {
+                        leaves = leaves + cell.link_faults.slow_planner;
+                    }
                     let key = key.as_bytes().to_vec();
-                    if let Some(delay) = self.robots[robot].down.transmit(bytes.len()) {
-                        let bytes = bytes.to_vec();
-                        self.schedule(
-                            now + PLANNING_TIME + delay,
-                            Happening::ToAgent { robot, key, bytes },
-                        );
+                    cell.link_faults.record(Inject::Agent(robot), &key, &bytes);
+                    for delay in cell.down.transmit(now, bytes.len()) {
+                        let (key, bytes) = (key.clone(), bytes.to_vec());
+                        let arrival = self.robots[robot].link_faults.held(leaves + delay);
+                        self.schedule(arrival, Happening::ToAgent { robot, key, bytes });
                     }
                 }
                 StationOutput::Event { robot, event } => {
@@ -429,19 +513,24 @@ impl World {
     fn sample(&mut self, now: WorldTime) {
         for cell in &mut self.robots {
             cell.body.advance(now);
-            let agent_now = Instant::<AgentClock>::from_nanos(now.as_nanos()) + cell.clock;
-            let mission = self
-                .station
-                .session(&cell.id)
-                .and_then(|session| session.task().running());
-            let reference = mission.map(|(trajectory, anchor)| {
-                cell.mission_started
-                    .get_or_insert_with(|| Span::from_nanos(anchor.as_nanos()) - cell.clock);
-                let t = (agent_now - anchor).as_secs_f64();
+            let session = self.station.session(&cell.id);
+            if let Some(task) = session.map(|session| session.task())
+                && self.station_process.is_running()
+            {
+                if let Some((trajectory, anchor)) = task.running() {
+                    cell.mission = Some((trajectory.clone(), cell.world_time(anchor)));
+                } else if task.is_done() {
+                    cell.mission = None;
+                }
+            }
+            let reference = cell.mission.as_ref().map(|(trajectory, begin)| {
+                let begin = *begin;
+                cell.mission_started.get_or_insert(begin);
+                // Mission time runs in the robot's clock.
+                let t = (cell.clock.shows(now) - cell.clock.shows(begin)).as_secs_f64();
                 if let Some(program) = trajectory.program()
                     && let Some(step) = program.first_step()
                 {
-                    let begin = Span::from_nanos(anchor.as_nanos()) - cell.clock;
                     cell.roll_step.get_or_insert(RollStep {
                         at: begin + Span::from_secs_f64(step.at),
                         from: step.from,
@@ -449,7 +538,7 @@ impl World {
                         until: Some(begin + Span::from_secs_f64(step.until)),
                     });
                 }
-                reference(trajectory, t)
+                setup::reference(trajectory, t)
             });
             let playback = cell.agent.playback();
             if playback.newest() != cell.newest_plan {
@@ -470,6 +559,7 @@ impl World {
                 mode: cell.agent.mode(),
                 plan_age: signals.plan_age,
                 playing: signals.playing,
+                life: cell.lives,
             });
         }
     }
@@ -479,17 +569,15 @@ impl World {
         self.robots
             .iter()
             .map(|cell| {
-                let counters = self
-                    .station
-                    .session(&cell.id)
-                    .map(|session| *session.counters())
-                    .unwrap_or_default();
+                let now = self.station.session(&cell.id).map(|s| *s.counters());
+                let earlier = self.earlier_plans.get(&cell.id).copied();
+                let counters = sum(now.unwrap_or_default(), earlier.unwrap_or_default());
                 RobotRecord {
                     robot: cell.id,
                     mission_start: cell.mission_started,
                     roll_step: cell.roll_step,
                     plans_sent: counters.plans_sent,
-                    plans_adopted: cell.agent.playback().begun(),
+                    plans_adopted: cell.earlier_adopted + cell.agent.playback().begun(),
                     loop_delays: cell.loop_delays.clone(),
                     bytes_up: cell.up.bytes,
                     bytes_down: cell.down.bytes,
@@ -501,6 +589,165 @@ impl World {
                 }
             })
             .collect()
+    }
+
+    fn fault_begins(&mut self, now: WorldTime, index: usize) {
+        let fault = &self.scenario.faults[index];
+        let end = Span::from_secs_f64(fault.at_s) + Span::from_secs_f64(fault.for_s);
+        let kind = fault.kind;
+        match kind {
+            FaultKind::StationCrash if self.station_process.is_running() => {
+                self.station_process = Process::Down;
+                for (id, session) in self.station.sessions() {
+                    let earlier = self.earlier_plans.entry(*id).or_default();
+                    *earlier = sum(*earlier, *session.counters());
+                }
+            }
+            FaultKind::StationFreeze if self.station_process.is_running() => {
+                self.station_process = Process::Frozen(Waiting::default());
+            }
+            FaultKind::StationCrash | FaultKind::StationFreeze => {}
+            FaultKind::Replay => self.schedule(now, Happening::Replay { fault: index }),
+            FaultKind::AgentCrash
+            | FaultKind::Freeze
+            | FaultKind::Stale
+            | FaultKind::SlowPlanner => {
+                for cell in &mut self.robots {
+                    if !concerns(fault, &cell.id) {
+                        continue;
+                    }
+                    match kind {
+                        FaultKind::AgentCrash => cell.process = Process::Down,
+                        FaultKind::Freeze if cell.process.is_running() => {
+                            cell.process = Process::Frozen(Waiting::default());
+                        }
+                        FaultKind::Stale => cell.link_faults.stale_until = Some(end),
+                        FaultKind::SlowPlanner => cell.link_faults.slow_planner = SLOW_PLANNING,
+                        _ => {}
+                    }
+                }
+            }
+        }
+    }
+
+    fn fault_ends(&mut self, now: WorldTime, index: usize) {
+        let fault = self.scenario.faults[index].clone();
+        match fault.kind {
+            FaultKind::StationCrash if matches!(self.station_process, Process::Down) => {
+                self.restart_station(now);
+            }
+            FaultKind::StationFreeze if matches!(self.station_process, Process::Frozen(_)) => {
+                let (_, messages) = self.station_process.resume();
+                for (key, bytes) in messages {
+                    let key = String::from_utf8_lossy(&key);
+                    let (key, bytes) = (&*key, &*bytes);
+                    self.station_input(now, StationInput::Message { key, bytes });
+                }
+                self.station_due = now;
+                self.station_input(now, StationInput::Timeout);
+            }
+            FaultKind::StationCrash | FaultKind::StationFreeze | FaultKind::Replay => {}
+            kind => {
+                for robot in 0..self.robots.len() {
+                    let cell = &mut self.robots[robot];
+                    if !concerns(&fault, &cell.id) {
+                        continue;
+                    }
+                    match kind {
+                        FaultKind::AgentCrash if matches!(cell.process, Process::Down) => {
+                            self.restart_agent(now, robot);
+                        }
+                        FaultKind::Freeze if matches!(cell.process, Process::Frozen(_)) => {
+                            self.wake_agent(now, robot);
+                        }
+                        FaultKind::Stale => cell.link_faults.stale_until = None,
+                        FaultKind::SlowPlanner => cell.link_faults.slow_planner = Span::ZERO,
+                        _ => {}
+                    }
+                }
+            }
+        }
+    }
+
+    /// Another station takes the place of the one that is gone. As one that keeps a journal it knows when each mission began.
+    fn restart_station(&mut self, now: WorldTime) {
+        self.station_lives += 1;
+        let mut config = setup::station_config(&self.scenario, self.station_id);
+        config.station += self.station_lives;
+        for robot in &mut config.robots {
+            let cell = self.robots.iter().find(|cell| cell.id == robot.id);
+            if let Some((_, begin)) = cell.and_then(|cell| cell.mission.as_ref()) {
+                let began = Instant::from_nanos(begin.as_nanos()) + self.station_clock;
+                robot.start = StartCondition::At(began);
+            }
+        }
+        let station_now = Instant::from_nanos(now.as_nanos()) + self.station_clock;
+        self.station = Station::new(config, station_now);
+        self.station_process = Process::Running;
+        self.station_due = now;
+        self.schedule(now, Happening::StationTimeout);
+    }
+
+    /// The agent starts anew: another boot, and where it is it does not know.
+    fn restart_agent(&mut self, now: WorldTime, robot: usize) {
+        let cell = &mut self.robots[robot];
+        cell.lives += 1;
+        cell.earlier_adopted += cell.agent.playback().begun();
+        let (boot_id, _) = setup::drawn_clocks(self.scenario.seed, robot);
+        let mut config = setup::agent_config(
+            &self.scenario.robots[robot],
+            boot_id + u64::from(cell.lives),
+        );
+        config.estimator.start = StartPose {
+            position_sigma: LOST_POSITION,
+            heading_sigma: core::f64::consts::PI,
+            ..config.estimator.start
+        };
+        // The gains are those of the life before: they were accepted.
+        if let Ok(agent) = Agent::new(cell.agent_now(now), config) {
+            cell.agent = agent;
+            cell.process = Process::Running;
+            cell.newest_plan = None;
+            cell.agent_due = now;
+            self.schedule(now, Happening::AgentTimeout { robot });
+        }
+    }
+
+    fn wake_agent(&mut self, now: WorldTime, robot: usize) {
+        let (frames, messages) = self.robots[robot].process.resume();
+        for frame in frames {
+            self.agent_input(now, robot, AgentInput::Motor(&frame));
+        }
+        for (key, bytes) in messages {
+            let key = String::from_utf8_lossy(&key);
+            let (key, bytes) = (&*key, &*bytes);
+            self.agent_input(now, robot, AgentInput::Message { key, bytes });
+        }
+        self.robots[robot].agent_due = now;
+        self.schedule(now, Happening::AgentTimeout { robot });
+    }
+
+    /// Sends one packet again for each robot concerned, drawn from what it sent or was sent.
+    fn replay(&mut self, now: WorldTime, index: usize) {
+        let fault = self.scenario.faults[index].clone();
+        for robot in 0..self.robots.len() {
+            let cell = &mut self.robots[robot];
+            let faults = &mut cell.link_faults;
+            if !concerns(&fault, &cell.id) || faults.recorded.is_empty() {
+                continue;
+            }
+            let drawn = faults.random.random_range(0..faults.recorded.len());
+            let (to, key, bytes) = faults.recorded[drawn].clone();
+            let happening = match to {
+                Inject::Station => Happening::ToStation { key, bytes },
+                _ => Happening::ToAgent { robot, key, bytes },
+            };
+            self.schedule(now, happening);
+        }
+        let next = now + REPLAY_PERIOD;
+        if next.as_secs_f64() < fault.at_s + fault.for_s {
+            self.schedule(next, Happening::Replay { fault: index });
+        }
     }
 
     fn report(&mut self, now: WorldTime, robot: RobotId, what: Reported) {
@@ -523,135 +770,97 @@ impl World {
 
 impl SimRobot {
     fn new(scenario: &Scenario, index: usize, setup: &RobotSetup) -> Result<Self, GainsError> {
-        let (boot_id, board_clock) = drawn_clocks(scenario.seed, index);
+        let (boot_id, board_clock) = setup::drawn_clocks(scenario.seed, index);
         let body = Body::new(
-            body_setup(scenario, setup, board_clock),
+            setup::body_setup(scenario, setup, board_clock),
             BodyRandom::new(scenario.seed, index),
         );
-        let clock = Span::from_secs_f64(setup.clock_offset_s);
-        let config = agent_config(setup, boot_id);
-        let link = |model: &scenario::Link, purpose| {
-            let loss = match model.loss {
-                Loss::Independent(loss) => loss,
-                Loss::Burst { .. } => 0.0,
+        let clock = SimClock::new(
+            Span::from_secs_f64(setup.clock_offset_s),
+            setup.clock_drift_ppm,
+        );
+        let config = setup::agent_config(setup, boot_id);
+        let replays =
+            |fault: &scenario::Fault| fault.kind == FaultKind::Replay && concerns(fault, &setup.id);
+        let random = |purpose| stream(scenario.seed, index, purpose);
+        let link = |model: &scenario::Link, packets, twins, weather| {
+            let random = LinkRandom {
+                packets: random(packets),
+                twins: random(twins),
+                weather: random(weather),
             };
-            let model = LinkModel {
-                delay: model.delay().as_secs_f64(),
-                jitter: model.jitter().as_secs_f64(),
-                loss,
-            };
-            Link::new(model, stream(scenario.seed, index, purpose))
+            let cuts = &scenario.network.partition;
+            Link::new(
+                setup::link_model(model),
+                setup::impairments(model, cuts, setup.id),
+                random,
+            )
         };
+        let network = &scenario.network;
         Ok(Self {
             id: setup.id,
             body,
-            agent: Agent::new(Instant::from_nanos(0) + clock, config)?,
+            agent: Agent::new(
+                Instant::from_nanos(clock.shows(Span::ZERO).as_nanos()),
+                config,
+            )?,
             clock,
+            process: Process::default(),
+            lives: 0,
+            earlier_adopted: 0,
             agent_due: Span::ZERO,
-            up: link(&scenario.network.up, Purpose::LinkUp),
-            down: link(&scenario.network.down, Purpose::LinkDown),
+            link_faults: LinkFaults {
+                stale_until: None,
+                slow_planner: Span::ZERO,
+                recorded: VecDeque::new(),
+                records: scenario.faults.iter().any(replays),
+                random: random(Purpose::Replay),
+            },
+            up: link(
+                &network.up,
+                Purpose::LinkUp,
+                Purpose::TwinsUp,
+                Purpose::WeatherUp,
+            ),
+            down: link(
+                &network.down,
+                Purpose::LinkDown,
+                Purpose::TwinsDown,
+                Purpose::WeatherDown,
+            ),
             fix_period: scenario.sensing.fix_period(),
             mission_started: None,
+            mission: None,
             roll_step: None,
             newest_plan: None,
             loop_delays: Vec::new(),
         })
     }
-}
 
-/// What `trajectory` asks for `t` seconds after its start, for the trace.
-pub(crate) fn reference(trajectory: &Trajectory, t: f64) -> Reference {
-    let point = trajectory.reference(t);
-    if trajectory.program().is_some() {
-        return Reference {
-            pose: None,
-            v: point.v,
-            q_r: point.q_r,
-        };
+    /// What its agent's clock shows.
+    fn agent_now(&self, now: WorldTime) -> Instant<AgentClock> {
+        Instant::from_nanos(self.clock.shows(now).as_nanos())
     }
-    // Errors count from the path as the mission states it, not from the planner's drivable form of it.
-    let [x, y] = trajectory.nominal(t);
-    Reference::from(ReferencePoint { x, y, ..point })
-}
 
-/// The station of `scenario`, under the identity `station`.
-pub(crate) fn station_config(scenario: &Scenario, station: u64) -> StationConfig {
-    StationConfig {
-        station,
-        planner: scenario.planner,
-        robots: scenario
-            .robots
-            .iter()
-            .map(|setup| RobotConfig {
-                id: setup.id,
-                robot: setup.model.robot.clone(),
-                mission: setup.mission.clone(),
-                start: StartCondition::Ready,
-            })
-            .collect(),
+    /// When its agent's clock shows `instant`.
+    fn world_time(&self, instant: Instant<AgentClock>) -> WorldTime {
+        self.clock.when(Span::from_nanos(instant.as_nanos()))
     }
 }
 
-/// The agent of one robot of a scenario, in its life `boot_id`.
-pub(crate) fn agent_config(setup: &RobotSetup, boot_id: u64) -> AgentConfig {
-    AgentConfig {
-        id: setup.id,
-        robot: setup.model.robot.clone(),
-        boot_id,
-        estimator: EstimatorConfig {
-            start: StartPose {
-                x: setup.start.x_m,
-                y: setup.start.y_m,
-                heading: setup.start.heading(),
-                ..StartPose::default()
-            },
-            ..Default::default()
-        },
-        direction: match setup.roll_controller {
-            RollController::Htsmc => DirectionChoice::Htsmc,
-            RollController::HtsmcPaper => DirectionChoice::HtsmcPaper,
-            RollController::FuzzyPid => DirectionChoice::FuzzyPid,
-            RollController::FuzzyPidSingle => DirectionChoice::FuzzyPidSingle,
-        },
-        timing: Timing::default(),
+impl LinkFaults {
+    fn record(&mut self, to: Inject, key: &[u8], bytes: &[u8]) {
+        if self.records {
+            if self.recorded.len() == RECORDED_MAX {
+                self.recorded.pop_front();
+            }
+            self.recorded.push_back((to, key.to_vec(), bytes.to_vec()));
+        }
     }
-}
 
-/// The body of one robot of `scenario`, whose board's clock shows `clock_offset` at time zero.
-pub(crate) fn body_setup(scenario: &Scenario, setup: &RobotSetup, clock_offset: Span) -> BodySetup {
-    let sensing = &scenario.sensing;
-    BodySetup {
-        params: setup.plant,
-        start: [setup.start.x_m, setup.start.y_m, setup.start.heading()],
-        disturbance: disturbance(&setup.disturbance),
-        noise: sensing.noise,
-        fix_sigma: sensing.position_fix_sigma(),
-        clock_offset,
-    }
-}
-
-/// Boot id of the agent and origin of the board's clock of robot number `robot` under `seed`.
-pub(crate) fn drawn_clocks(seed: u64, robot: usize) -> (u64, Span) {
-    let mut random = stream(seed, robot, Purpose::Clocks);
-    let mut draw = || -> f64 { StandardUniform.sample(&mut random) };
-    let boot_id = 1 + (draw() * 9e15) as u64;
-    (boot_id, Span::from_secs_f64(draw() * CLOCK_SPREAD))
-}
-
-fn disturbance(setup: &scenario::Disturbance) -> Disturbance {
-    Disturbance {
-        imbalance: setup.imbalance_nm,
-        pushes: setup
-            .pushes
-            .iter()
-            .map(|push| Push {
-                roll_nm: push.roll_nm,
-                pitch_nm: 0.0,
-                at_s: push.at_s,
-                for_s: push.for_s,
-            })
-            .collect(),
-        ..Disturbance::default()
+    /// When what would arrive at `arrival` does.
+    fn held(&self, arrival: WorldTime) -> WorldTime {
+        self.stale_until.map_or(arrival, |until| arrival.max(until))
     }
 }
 
@@ -667,6 +876,28 @@ pub enum Inject {
     /// A robot's motor link, towards the board.
     Board(usize),
 }
+
+/// Whether `fault` befalls `robot`: an empty list is everybody.
+fn concerns(fault: &scenario::Fault, robot: &RobotId) -> bool {
+    fault.robots.is_empty() || fault.robots.contains(robot)
+}
+
+/// Plans of two stations, one after the other.
+fn sum(a: Counters, b: Counters) -> Counters {
+    Counters {
+        plans_sent: a.plans_sent + b.plans_sent,
+        riccati: a.riccati + b.riccati,
+        clarabel: a.clarabel + b.clarabel,
+        shifted: a.shifted + b.shifted,
+        typed: a.typed + b.typed,
+        failed: a.failed + b.failed,
+        stale: a.stale + b.stale,
+        dropped: core::array::from_fn(|i| a.dropped[i] + b.dropped[i]),
+    }
+}
+
+/// Standard deviation of a position of which an agent that has started anew knows nothing [m].
+const LOST_POSITION: f64 = 100.0;
 
 const STATION: usize = usize::MAX / 32;
 

@@ -89,7 +89,7 @@ impl Bench {
                 disturbance: Disturbance::default(),
                 noise: 1.0,
                 fix_sigma: 0.02,
-                clock_offset: Span::from_millis(30_000),
+                clock: sphere_sim::clock::SimClock::new(Span::from_millis(30_000), 0.0),
             },
             BodyRandom::new(1, 0),
         );

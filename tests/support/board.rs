@@ -57,7 +57,7 @@ impl Board {
                 disturbance: Disturbance::default(),
                 noise: 1.0,
                 fix_sigma: 0.02,
-                clock_offset: Span::from_millis(12_345),
+                clock: sphere_sim::clock::SimClock::new(Span::from_millis(12_345), 0.0),
             },
             BodyRandom::new(seed, 0),
         );

@@ -4,7 +4,7 @@
 
 use std::fs;
 use std::io::{BufRead, BufReader};
-use std::net::{SocketAddr, TcpListener};
+use std::net::{SocketAddr, TcpListener, UdpSocket};
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
@@ -23,9 +23,14 @@ impl Program {
     pub fn start(program: &str, command: &str, name: &str, config: &str) -> Self {
         let file = scratch(&format!("{name}.toml"));
         fs::write(&file, config).expect("a folder for test files");
+        let file = file.to_str().expect("a path in UTF-8");
+        Self::spawn(program, name, &[command, "--config", file])
+    }
+
+    /// Starts a program.
+    fn spawn(program: &str, name: &str, args: &[&str]) -> Self {
         let mut child = Command::new(program)
-            .args([command, "--config"])
-            .arg(&file)
+            .args(args)
             .env_remove("RUST_LOG")
             .stdin(Stdio::null())
             .stdout(Stdio::null())
@@ -75,12 +80,20 @@ impl Program {
         Self::start(env!("CARGO_BIN_EXE_sphere-ground"), "serve", name, &config)
     }
 
+    /// Plants: one robot whose board is at `board`, for an agent at `agent`.
+    pub fn plants(name: &str, agent: u16, board: u16) -> Self {
+        let [agent, board] = [agent.to_string(), board.to_string()];
+        let args = ["plants", "--agent-port", &agent, "--board-port", &board];
+        Self::spawn(env!("CARGO_BIN_EXE_sphere-sim"), name, &args)
+    }
+
     /// Sends it a signal: INT, TERM, KILL, STOP, CONT.
     pub fn signal(&self, signal: &str) -> Instant {
-        let status = Command::new("kill")
-            .args([&format!("-{signal}"), &self.child.id().to_string()])
+        // Of the shell itself: small images of Linux have no program `kill`.
+        let status = Command::new("sh")
+            .args(["-c", &format!("kill -{signal} {}", self.child.id())])
             .status()
-            .expect("kill is part of every Unix");
+            .expect("every Unix has a shell");
         assert!(status.success(), "{}: SIG{signal}", self.name);
         Instant::now()
     }
@@ -146,6 +159,12 @@ pub fn scratch(name: &str) -> PathBuf {
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(std::process::id().to_string());
     fs::create_dir_all(&folder).expect("a folder for test files");
     folder.join(name)
+}
+
+/// A UDP port of this machine that is free now.
+pub fn free_udp_port() -> u16 {
+    let socket = UdpSocket::bind("127.0.0.1:0").expect("a free port");
+    socket.local_addr().expect("bound").port()
 }
 
 /// A TCP port that is free now.

@@ -108,8 +108,8 @@ impl DirectionController for FuzzyPid {
         self.counters
     }
 
+    /// A PID is the better on the bare step.
     fn step_filter(&self) -> Option<f64> {
-        // A PID takes the error as it is; a filter would only make it late.
         None
     }
 }

@@ -88,16 +88,6 @@ pub enum Problem {
         /// Why, and the remedy.
         why: String,
     },
-    /// Part of the format that the simulator cannot do yet.
-    #[error(" = {value}: the simulator cannot do {what} yet; {instead}")]
-    NotYet {
-        /// What is written there.
-        value: String,
-        /// What it asks for.
-        what: &'static str,
-        /// What to write meanwhile.
-        instead: &'static str,
-    },
 }
 
 impl fmt::Display for Place {

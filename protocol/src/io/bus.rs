@@ -357,6 +357,12 @@ impl Inbox {
     }
 }
 
+/// What Zenoh says, less where in its sources it says so.
 fn first_line(text: &str) -> String {
-    text.lines().next().unwrap_or_default().to_owned()
+    let line = text.lines().next().unwrap_or_default();
+    let told = match line.rsplit_once(" at ") {
+        Some((told, place)) if place.contains(".rs:") => told,
+        _ => line,
+    };
+    told.trim_end().to_owned()
 }

@@ -81,8 +81,11 @@ impl Default for Display {
 /// What the demo is, and how to look into it from outside.
 fn introduction(scene: &Scene<'_>) -> Vec<String> {
     let mut lines = vec![
-        "Sphere Fleet: every robot an agent with a plant behind MAVLink and a Zenoh session of its own;".to_owned(),
-        "one station plans for all of them, over links of 100 ± 20 ms each way that stall as TCP does at 10 % loss.".to_owned(),
+        "Sphere Fleet: for each robot a simulated body, MAVLink, an agent and a Zenoh session;"
+            .to_owned(),
+        "one station plans for all, over links of 100 ± 20 ms each way that stall as TCP does"
+            .to_owned(),
+        "at 10 % loss. Robots set out one after the other.".to_owned(),
     ];
     if let Some(why) = scene.moved {
         lines.push(format!(
@@ -90,7 +93,7 @@ fn introduction(scene: &Scene<'_>) -> Vec<String> {
         ));
     }
     lines.push(format!(
-        "Join in: Zenoh router at {}, keys fleet/v1/*/up/telemetry, fleet/v1/*/down/plan, fleet/v1/*/beacon.",
+        "Join in: Zenoh router at {}, keys fleet/v1/** (docs/protocol.md).",
         scene.endpoint
     ));
     lines.push("Ctrl-C ends it early; the report is still written.".to_owned());
@@ -104,7 +107,7 @@ fn picture(scene: &Scene<'_>, width: usize) -> Vec<String> {
     let mut lines = vec![
         strong
             .apply_to(format!(
-                "{:<6} {:<11} {:<10} {:>8} {:>6} {:>7} {:>8}   {:<22} {:>6}",
+                "{:<6} {:<10} {:<8} {:>8} {:>6} {:>6} {:>7}  {:>11} {:>6}",
                 "robot",
                 "mission",
                 "mode",
@@ -112,12 +115,13 @@ fn picture(scene: &Scene<'_>, width: usize) -> Vec<String> {
                 "m/s",
                 "roll °",
                 "plan ms",
-                "link up / down ms",
+                "link ms",
                 "stalls"
             ))
             .to_string(),
     ];
     lines.extend(scene.robots.iter().map(robot_line));
+    lines.extend(LEGEND.map(|line| faint.apply_to(line).to_string()));
     lines.push(String::new());
     lines.push(bar(scene, width));
     for event in scene.events.iter().rev().take(EVENTS).rev() {
@@ -136,18 +140,18 @@ fn robot_line(robot: &SceneRobot) -> String {
     });
     let link = if robot.is_cut {
         let cut = Style::new().for_stderr().fg(Color::Red).bold();
-        cut.apply_to(format!("{:<22}", "cut")).to_string()
+        cut.apply_to(format!("{:>11}", "cut")).to_string()
     } else {
         let ms = |duration: std::time::Duration| duration.as_millis();
-        let text = format!("{:>6} / {}", ms(robot.up.latency), ms(robot.down.latency));
-        format!("{text:<22}")
+        let text = format!("{} / {:>4}", ms(robot.up.latency), ms(robot.down.latency));
+        format!("{text:>11}")
     };
     let or_dash = |value: Option<String>| value.unwrap_or_else(|| "-".to_owned());
     format!(
-        "{:<6} {:<11} {} {:>8} {:>6.2} {:>7.1} {:>8}   {link} {:>6}",
+        "{:<6} {:<10} {} {:>8} {:>6.2} {:>6.1} {:>7}  {link} {:>6}",
         row.robot.as_str(),
         robot.mission,
-        mode.apply_to(format!("{:<10}", mode_name(row.mode))),
+        mode.apply_to(format!("{:<8}", mode_name(row.mode))),
         or_dash(robot.error().map(millimetres)),
         row.truth.v,
         row.truth.q_r.to_degrees(),
@@ -202,6 +206,11 @@ fn event_line(event: &SceneEvent) -> String {
     format!("{:>6.1} s  {}", event.t.as_secs_f64(), event.text)
 }
 
+/// What the columns mean.
+const LEGEND: [&str; 2] = [
+    "error: distance from the path; plan: age of the plan in play; link: delay of the",
+    "newest packet, up / down; stalls: packets held back by a loss, so far",
+];
 /// Events on the terminal.
 const EVENTS: usize = 5;
 /// Length of the time bar [columns].

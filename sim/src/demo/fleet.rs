@@ -24,9 +24,8 @@ use super::{Cut, DemoError, SceneRobot};
 use crate::body::{Purpose, stream};
 use crate::live::{Mirror, Pace, PlantSetup, Plants, Truth, Truths, link_pair, plant_setup};
 use crate::metrics::{RobotRecord, SolverCounts};
-use crate::network::LinkModel;
 use crate::relay::{Direction, Relay};
-use crate::scenario::{Link, Loss, Scenario};
+use crate::scenario::{Link, Scenario};
 use crate::trace::{Command, Reference, Row};
 use crate::world::{agent_config, station_config};
 
@@ -92,7 +91,7 @@ impl Fleet {
         let plants = Plants::start(setups)?;
         for (index, (setup, link)) in scenario.robots.iter().zip(links).enumerate() {
             let direction = |model: &Link, purpose| Direction {
-                model: link_model(model),
+                model: crate::world::link_model(model),
                 random: stream(scenario.seed, index, purpose),
             };
             let relay = Relay::start(
@@ -343,6 +342,7 @@ impl LiveRobot {
             });
         SceneRobot {
             row: row(t, self.id, &truth, &shown, reference),
+            reason: shown.reason,
             mission: self.mission,
             up: self.relay.up(),
             down: self.relay.down(),
@@ -372,6 +372,7 @@ fn row(
         mode: shown.mode.unwrap_or(Mode::Boot),
         plan_age: signals.plan_age,
         playing: signals.playing,
+        life: 0,
     }
 }
 
@@ -446,17 +447,6 @@ fn reason(error: &io::Error) -> &'static str {
         io::ErrorKind::AddrInUse => "another program listens there",
         io::ErrorKind::PermissionDenied => "not permitted",
         _ => "it cannot be opened",
-    }
-}
-
-fn link_model(link: &Link) -> LinkModel {
-    LinkModel {
-        delay: link.delay().as_secs_f64(),
-        jitter: link.jitter().as_secs_f64(),
-        loss: match link.loss {
-            Loss::Independent(loss) => loss,
-            Loss::Burst { .. } => 0.0,
-        },
     }
 }
 

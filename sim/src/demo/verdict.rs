@@ -9,6 +9,7 @@ use sphere_protocol::time::Span;
 use super::{Cut, Performance};
 use crate::metrics::{LiveRobotMetrics, RobotMetrics};
 use crate::report::{GREEN, RED, RESET, figure, millimetres, milliseconds, table};
+use crate::trace::mode_name;
 
 /// Whether one robot did what it should.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,6 +28,8 @@ pub enum Verdict {
 
 /// Largest root mean square position error that counts as tracking [m].
 pub const RMSE_MAX: f64 = 0.04;
+/// A control step that begins later than this finds the motors without torque [s]: the validity of the command before it, less a period.
+const LATE: f64 = 0.04;
 /// A plan that runs out is noticed with the next control step; a row of the trace is one more.
 const NOTICE: Span = Span::from_millis(60);
 
@@ -90,7 +93,7 @@ pub fn summary(
     }
     let mut text = table(&rows, colour);
     text.push_str(
-        "(errors 10 s after setting out; plan age p50 / p99; control lateness p50 / p99 / max)\n",
+        "(errors from 10 s after setting out; plan age p50 / p99; control lateness p50 / p99 / max)\n",
     );
     // Writing to a String cannot fail.
     let _ = writeln!(text, "\nPlots, trace and metrics: {folder}");
@@ -101,6 +104,17 @@ pub fn summary(
             live.plant_steps_late,
             (metrics.wall_s * 1e3).round(),
             live.plant_lateness_max_s * 1e3
+        );
+    }
+    let latest = live.into_iter().flat_map(|live| &live.robots);
+    let latest = latest
+        .map(|robot| robot.control_lateness_max_s)
+        .fold(0.0, f64::max);
+    if latest > LATE {
+        let _ = writeln!(
+            text,
+            "A control step began {:.0} ms late, and the motors were without torque until then: this machine was too busy for real time.",
+            latest * 1e3
         );
     }
     for violation in metrics.violations.iter().take(SHOWN) {
@@ -132,7 +146,7 @@ fn sentence(performance: &Performance, verdicts: &[(RobotId, Verdict)]) -> Strin
         crate::scenario::Loss::Burst { loss_bad, .. } => loss_bad,
     };
     let mut text = format!(
-        "Just shown: {} robots for {:.0} s over real Zenoh and MAVLink, each link {:.0} ± {:.0} ms each way with the stalls of {:.0} % loss: ",
+        "Just shown: {} robots for {:.0} s over real Zenoh and MAVLink, links of {:.0} ± {:.0} ms each way\nwith the stalls of {:.0} % loss: ",
         scenario.robots.len(),
         run.metrics.duration_s,
         up.delay_ms,
@@ -168,9 +182,17 @@ fn sentence(performance: &Performance, verdicts: &[(RobotId, Verdict)]) -> Strin
                 after.as_secs_f64()
             )),
             Verdict::DidNotHold => parts.push(format!("{id} DID NOT HOLD after its link was cut")),
-            Verdict::Unscored => parts.push(format!("{id} too short on its path to be scored")),
-            Verdict::Tracked(_) | Verdict::Lost(_) => {}
+            Verdict::Unscored | Verdict::Tracked(_) | Verdict::Lost(_) => {}
         }
+    }
+    let unscored: Vec<_> = verdicts
+        .iter()
+        .filter(|(_, verdict)| *verdict == Verdict::Unscored)
+        .map(|(id, _)| id.to_string())
+        .collect();
+    if !unscored.is_empty() {
+        let robots = unscored.join(", ");
+        parts.push(format!("{robots} too short under way to be scored"));
     }
     text.push_str(&parts.join("; "));
     text.push('.');
@@ -204,12 +226,12 @@ fn cells(robot: &RobotMetrics, live: Option<&LiveRobotMetrics>) -> [String; HEAD
     ]
 }
 
-/// The modes in which it spent a second or more, longest first.
+/// The modes in which it spent a second or more after its boot, longest first.
 fn modes(robot: &RobotMetrics) -> String {
     let mut modes: Vec<_> = robot
         .time_in_mode_s
         .iter()
-        .filter(|(_, time)| **time >= 1.0)
+        .filter(|(mode, time)| **time >= 1.0 && **mode != mode_name(Mode::Boot))
         .collect();
     modes.sort_by(|a, b| b.1.total_cmp(a.1));
     let modes: Vec<_> = modes

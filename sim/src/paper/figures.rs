@@ -130,7 +130,7 @@ impl Shown<'_> {
         let svg = path::compared(&self.title("path of the centre"), mission, &driven)?;
         let source = self.experiment.source();
         let caption = format!(
-            "Remakes {source} (a) and (b), in one: the paths driven over the mission's, which all start at the origin."
+            "Remakes {source} (a) and (b), in one: the paths driven, all from the origin, over the mission's."
         );
         Ok(Drawn { caption, svg })
     }

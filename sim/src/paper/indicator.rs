@@ -176,7 +176,7 @@ impl Indicator {
             ),
             Self::RmseSteady => (
                 "rmse_steady_deg",
-                "e_rmse st. °",
+                "e_rmse st °",
                 "steady RMSE",
                 "root mean square of the roll error from 5 s after the step to the end",
             ),

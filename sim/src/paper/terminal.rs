@@ -29,7 +29,7 @@ pub fn summary(results: &Results, colour: bool) -> String {
     writeln!(
         text,
         "Medians over {seeds} {} (ideal: 1), 10 and 90 % quantiles behind them.\n\
-         paper H / F: what it prints of its hardware for HTSMC and fuzzy-PID.",
+         paper H/F: what it prints of its hardware for HTSMC and fuzzy-PID.",
         if seeds == 1 { "seed" } else { "seeds" }
     )
     .expect("text grows");
@@ -66,7 +66,7 @@ fn header(group: &[Cell]) -> Vec<String> {
             .map(|cell| cell.case.controller.name().to_owned()),
     );
     if group[0].case.experiment.is_direction() {
-        header.push("paper H / F".to_owned());
+        header.push("paper H/F".to_owned());
     }
     header
 }
@@ -110,7 +110,7 @@ fn printed(group: &[Cell], indicator: Indicator) -> String {
             indicator.printed(case).map(number)
         })
         .collect();
-    numbers.join(" / ")
+    numbers.join("/")
 }
 
 /// Three digits that mean something, at most two behind the point.

@@ -15,6 +15,11 @@ use crate::trace::{Row, Trace};
 type Floor<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 type Points = Vec<(f64, f64)>;
 
+const MISSION: Key<'static> = Key {
+    name: "mission",
+    colour: GREY,
+    width: 6.0,
+};
 /// Width of the floor [px].
 const FLOOR: u32 = WIDTH - LEFT - RIGHT;
 
@@ -22,11 +27,7 @@ const FLOOR: u32 = WIDTH - LEFT - RIGHT;
 pub(super) fn robot(rows: &[&Row], subject: Subject<'_>) -> Result<String, PlotError> {
     let (truth, reference) = (truth(rows), reference(rows));
     let keys = [
-        Key {
-            name: "mission",
-            colour: GREY,
-            width: 6.0,
-        },
+        MISSION,
         Key {
             name: "true",
             colour: BLUE,
@@ -52,9 +53,17 @@ pub(super) fn fleet(trace: &Trace, robots: &[RobotId], run: &str) -> Result<Stri
         .iter()
         .map(|robot| truth(&trace.rows_of(*robot)))
         .collect();
-    let view = View::of(paths.iter().flatten());
+    let missions: Vec<_> = robots
+        .iter()
+        .map(|robot| reference(&trace.rows_of(*robot)))
+        .collect();
+    let view = View::of(paths.iter().chain(&missions).flatten());
     let title = format!("Paths of {} robots ({run})", robots.len());
-    view.svg(&title, ", dots where they ended", &[], |chart| {
+    let keys = [MISSION];
+    view.svg(&title, ", dots where they ended", &keys, |chart| {
+        for mission in &missions {
+            draw_line(chart, mission.clone(), GREY, 6)?;
+        }
         for (path, colour) in paths.iter().zip(COLOURS.into_iter().cycle()) {
             draw_line(chart, path.clone(), colour, 2)?;
         }
@@ -139,8 +148,8 @@ impl View {
             )
         });
         let middle = |(low, high): (f64, f64)| if low <= high { 0.5 * (low + high) } else { 0.0 };
-        // Half a metre of room, and at least two metres of floor.
-        let half = |(low, high): (f64, f64)| (0.53 * (high - low)).max(0.5) + 0.5;
+        // Half a metre of room and what a name beside a path's end takes, and at least two metres of floor.
+        let half = |(low, high): (f64, f64)| (0.56 * (high - low)).max(0.5) + 0.5;
         let (half_x, half_y) = (half(x), half(y));
         let wide = f64::from(FLOOR);
         let height = (wide * half_y / half_x).clamp(260.0, 700.0).round();

@@ -103,6 +103,7 @@ fn link(link: &Link) -> Lines {
     vec![
         ("delay_ms", number(link.delay_ms)),
         ("jitter_ms", number(link.jitter_ms)),
+        ("distribution", quoted(link.distribution.name())),
         loss,
         ("duplicate", number(link.duplicate)),
         ("bandwidth_kbps", number(link.bandwidth_kbps)),
@@ -156,12 +157,31 @@ fn robot(setup: &RobotSetup) -> Lines {
 fn disturbance(disturbance: &Disturbance) -> String {
     inline(&[
         ("imbalance_nm", number(disturbance.imbalance_nm)),
+        ("imbalance_harmonic", number(disturbance.imbalance_harmonic)),
+        ("random_nm", number(disturbance.random_nm)),
+        (
+            "random_correlation_s",
+            number(disturbance.random_correlation_s),
+        ),
+        ("stiction_nm", number(disturbance.stiction_nm)),
+        ("slope_deg", pair(&disturbance.slope_deg)),
+        (
+            "patches",
+            list(&disturbance.patches, |patch| {
+                inline(&[
+                    ("min_m", pair(&patch.min_m)),
+                    ("max_m", pair(&patch.max_m)),
+                    ("c_rr", number(patch.c_rr)),
+                ])
+            }),
+        ),
         (
             "pushes",
             list(&disturbance.pushes, |push| {
                 inline(&[
                     ("at_s", number(push.at_s)),
                     ("roll_nm", number(push.roll_nm)),
+                    ("pitch_nm", number(push.pitch_nm)),
                     ("for_s", number(push.for_s)),
                 ])
             }),
@@ -183,12 +203,7 @@ fn mission(mission: &Mission) -> String {
             points_m,
             speed_mps,
         } => vec![
-            (
-                "points_m",
-                list(points_m, |[x, y]| {
-                    format!("[{}, {}]", number(*x), number(*y))
-                }),
-            ),
+            ("points_m", list(points_m, pair)),
             ("speed_mps", number(*speed_mps)),
         ],
         Mission::Roll {
@@ -218,6 +233,10 @@ fn mission(mission: &Mission) -> String {
 
 fn id(id: &RobotId) -> String {
     quoted(id.as_str())
+}
+
+fn pair([x, y]: &[f64; 2]) -> String {
+    format!("[{}, {}]", number(*x), number(*y))
 }
 
 fn list<T>(items: &[T], item: impl Fn(&T) -> String) -> String {

@@ -2,6 +2,14 @@
 
 use sphere_protocol::document::table::Named;
 
+use crate::network::Distributed;
+
+impl Named for Distributed {
+    const WHAT: &'static str = "delay distribution";
+    const NAMES: &'static [(&'static str, Self)] =
+        &[("normal", Self::Normal), ("log-normal", Self::LogNormal)];
+}
+
 /// Declares an enum together with the name of each value in the file.
 macro_rules! named {
     ($(#[$doc:meta])* $name:ident, $what:literal { $($(#[$value_doc:meta])* $value:ident = $text:literal,)+ }) => {
@@ -49,8 +57,10 @@ named! {
         StationCrash = "station-crash",
         /// An agent stops and starts afresh.
         AgentCrash = "agent-crash",
-        /// A process stands still, then goes on as if nothing had happened.
+        /// An agent stands still, then goes on as if nothing had happened.
         Freeze = "freeze",
+        /// The station stands still, then goes on as if nothing had happened.
+        StationFreeze = "station-freeze",
         /// Old packets are delivered again.
         Replay = "replay",
         /// Packets are held back and delivered late.

@@ -5,7 +5,7 @@ use sphere_protocol::robot::RobotId;
 
 use super::{
     Environment, Fault, FaultKind, Link, Loss, MetricsSetup, Network, Partition, Scenario, Sensing,
-    not_yet, robots,
+    robots,
 };
 use sphere_protocol::document::error::Read;
 use sphere_protocol::document::node::Node;
@@ -60,7 +60,6 @@ pub(super) fn scenario(
         planner: planner(&top)?,
         robots,
     };
-    not_yet::check(&document)?;
     Ok(scenario)
 }
 
@@ -132,6 +131,7 @@ fn link(table: &Table<'_>, base: Link) -> Read<Link> {
     Ok(Link {
         delay_ms: table.number_or("delay_ms", MILLISECONDS, base.delay_ms)?,
         jitter_ms: table.number_or("jitter_ms", MILLISECONDS, base.jitter_ms)?,
+        distribution: table.named_or("distribution", base.distribution)?,
         loss,
         duplicate: table.number_or("duplicate", PROBABILITY, base.duplicate)?,
         bandwidth_kbps: table.number_or(
@@ -211,6 +211,7 @@ fn metrics(top: &Table<'_>) -> Read<MetricsSetup> {
 const LINK_KEYS: &[&str] = &[
     "delay_ms",
     "jitter_ms",
+    "distribution",
     "loss",
     "burst",
     "duplicate",

@@ -7,11 +7,11 @@ use sphere_ground::config_file;
 use sphere_protocol::robot::{Robot, RobotId, RobotParams};
 
 use super::read::{LENGTH_OF_TIME, TIME};
-use super::{Disturbance, Environment, Push, RobotModel, RobotSetup, RollController, Start};
+use super::{Disturbance, Environment, Patch, Push, RobotModel, RobotSetup, RollController, Start};
 use sphere_protocol::document::error::Read;
 use sphere_protocol::document::node::{Node, Value, join};
 use sphere_protocol::document::table::{
-    Range, Table, empty, number_of, refused, section, text_of, unknown_name,
+    Range, Table, empty, list_of, number_of, refused, section, text_of, unknown_name,
 };
 
 /// World coordinates [m]: farther out a nanometre no longer fits an f64.
@@ -195,21 +195,75 @@ fn disturbance(table: &Table<'_>, environment: Environment) -> Read<Disturbance>
         Environment::Calibrated => 2.3,
     };
     let empty = empty();
-    let table = section(table, "disturbance", &["imbalance_nm", "pushes"], &empty)?;
+    let table = section(table, "disturbance", DISTURBANCE, &empty)?;
     let mut pushes = Vec::new();
     for (node, path) in table.list("pushes")? {
-        let push = Table::open(node, &path, &["at_s", "roll_nm", "for_s"])?;
+        let push = Table::open(node, &path, &["at_s", "roll_nm", "pitch_nm", "for_s"])?;
         pushes.push(Push {
             at_s: push.required_number("at_s", TIME, "at_s = 20.0")?,
-            roll_nm: push.required_number("roll_nm", TORQUE, "roll_nm = 5.0")?,
+            roll_nm: push.number_or("roll_nm", TORQUE, 0.0)?,
+            pitch_nm: push.number_or("pitch_nm", TORQUE, 0.0)?,
             for_s: push.required_number("for_s", LENGTH_OF_TIME, "for_s = 0.2")?,
         });
     }
+    let mut patches = Vec::new();
+    for (node, path) in table.list("patches")? {
+        let patch = Table::open(node, &path, &["min_m", "max_m", "c_rr"])?;
+        patches.push(Patch {
+            min_m: pair(&patch, "min_m", POSITION, None)?,
+            max_m: pair(&patch, "max_m", POSITION, None)?,
+            c_rr: patch.required_number("c_rr", Range::within(0.0, 1.0), "c_rr = 0.03")?,
+        });
+    }
+    let positive = Range::within(0.0, 1e4);
     Ok(Disturbance {
+        imbalance_harmonic: table.number_or(
+            "imbalance_harmonic",
+            Range::within(0.0, 100.0),
+            1.0,
+        )?,
+        random_nm: table.number_or("random_nm", positive, 0.0)?,
+        random_correlation_s: table.number_or("random_correlation_s", LENGTH_OF_TIME, 0.3)?,
+        stiction_nm: table.number_or("stiction_nm", positive, 0.0)?,
+        slope_deg: pair(
+            &table,
+            "slope_deg",
+            Range::within(-30.0, 30.0),
+            Some([0.0; 2]),
+        )?,
+        patches,
         imbalance_nm: table.number_or("imbalance_nm", Range::within(0.0, 1e4), imbalance_nm)?,
         pushes,
     })
 }
+
+/// Two numbers under `key`; without a `default` they must be there.
+fn pair(
+    table: &Table<'_>,
+    key: &'static str,
+    range: Range,
+    default: Option<[f64; 2]>,
+) -> Read<[f64; 2]> {
+    let Some((node, path)) = table.node(key) else {
+        return default
+            .ok_or_else(|| table.missing(key, "min_m = [1.0, -2.0], max_m = [3.0, 2.0]"));
+    };
+    let [(x, x_path), (y, y_path)] = list_of(node, &path)?
+        .try_into()
+        .map_err(|_| refused(node, &path, "it must be two numbers, [x, y]".to_owned()))?;
+    Ok([number_of(x, &x_path, range)?, number_of(y, &y_path, range)?])
+}
+
+const DISTURBANCE: &[&str] = &[
+    "imbalance_nm",
+    "imbalance_harmonic",
+    "random_nm",
+    "random_correlation_s",
+    "stiction_nm",
+    "slope_deg",
+    "patches",
+    "pushes",
+];
 
 const KEYS: &[&str] = &[
     "id",
