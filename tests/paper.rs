@@ -356,6 +356,12 @@ fn the_sentences_follow_the_figures_whoever_wins() {
         theirs.contains("fuzzy-pid is the better one in 66: rise time"),
         "{theirs}"
     );
+    let short = sentence(Controller::FuzzyPid, "In short: ");
+    for environment in ["ideal", "real", "calibrated"] {
+        let expected =
+            format!("{environment}: fuzzy-pid beats htsmc 22 to 0, mhh and mhf are equal, 0 to 0");
+        assert!(short.contains(&expected), "{short}");
+    }
     let start = "Trajectories: mhh has the better median than mhf in ";
     let theirs = sentence(Controller::Mhf, start);
     assert!(

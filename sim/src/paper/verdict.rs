@@ -1,5 +1,7 @@
 //! Who wins where, in sentences made from the medians.
 
+use core::cmp::Ordering;
+
 use super::Results;
 use super::experiment::{Case, Controller, ENVIRONMENTS, Experiment, environment_name};
 use super::indicator::Indicator;
@@ -71,7 +73,43 @@ pub fn sentences(results: &Results) -> Vec<String> {
         sentences.extend(duel(results, name, ours, other));
     }
     sentences.push(falls(results));
+    sentences.extend(in_short(results));
     sentences
+}
+
+/// Of each environment: who wins more often, of the two pairs that the paper compares.
+fn in_short(results: &Results) -> Option<String> {
+    let pairs = [
+        (Controller::Htsmc, Controller::FuzzyPid),
+        (Controller::Mhh, Controller::Mhf),
+    ];
+    let outcome = |environment, (ours, other): (Controller, Controller)| {
+        let all = matches(results, &[ours, other]);
+        let wins = |controller| {
+            let won = won_by(&all, controller);
+            let here = |one: &&Match| one.case.environment == environment;
+            won.iter().filter(here).count()
+        };
+        let (a, b) = (wins(ours), wins(other));
+        let (ours, other) = (ours.name(), other.name());
+        (!all.is_empty()).then(|| match a.cmp(&b) {
+            Ordering::Greater => format!("{ours} beats {other} {a} to {b}"),
+            Ordering::Less => format!("{other} beats {ours} {b} to {a}"),
+            Ordering::Equal => format!("{ours} and {other} are equal, {a} to {b}"),
+        })
+    };
+    let places: Vec<_> = ENVIRONMENTS
+        .into_iter()
+        .filter_map(|environment| {
+            let outcomes: Vec<_> = pairs
+                .into_iter()
+                .filter_map(|pair| outcome(environment, pair))
+                .collect();
+            let name = environment_name(environment);
+            (!outcomes.is_empty()).then(|| format!("{name}: {}", outcomes.join(", ")))
+        })
+        .collect();
+    (!places.is_empty()).then(|| format!("In short: {}.", places.join("; ")))
 }
 
 /// Of one experiment: how often each controller has the best median, and where the others have it.
