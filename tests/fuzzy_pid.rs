@@ -470,6 +470,10 @@ impl DirectionController for PrintedMatrix {
     fn counters(&self) -> Counters {
         Counters::default()
     }
+
+    fn step_filter(&self) -> Option<f64> {
+        Some(self.gains.w_ref)
+    }
 }
 
 /// Largest real part of the poles [1/s]: roll sub-model about upright rolling at `v`, motors as one lag of 25 ms, PID on the lean.

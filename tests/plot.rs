@@ -82,6 +82,7 @@ fn lemniscate(robot: &str, seconds: i64, offset_m: f64) -> Vec<Row> {
                 )
             }),
             playing: playing.then_some(PlanId { epoch: 1, seq: 7 }),
+            life: 0,
         });
     }
     rows
