@@ -29,8 +29,8 @@
 //! ```
 //!
 //! In reading order: [`scenario`], [`world`], [`run`](mod@run); [`body`] with [`plant`], [`actuator`], [`sensor`], [`friction`], [`disturbance`],
-//! [`integrator`]; [`network`]; [`trace`], [`check`], [`metrics`], [`report`], [`plot`], [`output`]. In real time: [`live`], [`plants_command`],
-//! [`relay`], [`demo`].
+//! [`integrator`]; [`network`]; [`trace`], [`check`], [`indicators`], [`metrics`], [`report`], [`plot`], [`output`]. In real time: [`live`], [`plants_command`],
+//! [`relay`], [`demo`]. Many runs: [`ensemble`], [`paper`].
 
 pub mod actuator;
 pub mod body;
@@ -39,13 +39,18 @@ pub mod clock;
 #[cfg(feature = "io")]
 pub mod demo;
 pub mod disturbance;
+#[cfg(feature = "io")]
+pub mod ensemble;
 pub mod friction;
+pub mod indicators;
 pub mod integrator;
 #[cfg(feature = "io")]
 pub mod live;
 pub mod metrics;
 pub mod network;
 pub mod output;
+#[cfg(feature = "io")]
+pub mod paper;
 pub mod plant;
 #[cfg(feature = "io")]
 pub mod plants_command;

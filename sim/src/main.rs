@@ -9,7 +9,9 @@ use std::time::Instant;
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use sphere_sim::demo::{self, Cut};
+use sphere_sim::ensemble;
 use sphere_sim::live::Ports;
+use sphere_sim::paper::{self, Experiment};
 use sphere_sim::run::{Run, run};
 use sphere_sim::scenario::Scenario;
 use sphere_sim::{output, plants_command, plot, report};
@@ -30,6 +32,8 @@ enum Command {
     Demo(DemoArgs),
     /// Run a scenario in virtual time
     Run(RunArgs),
+    /// Run the paper's experiments in virtual time over many seeds: tables, figures, and who wins where
+    Paper(PaperArgs),
     /// Run plants in real time behind MAVLink over UDP, until Ctrl-C
     Plants(PlantsArgs),
 }
@@ -48,6 +52,22 @@ struct RunArgs {
     #[arg(long)]
     out: Option<PathBuf>,
     /// Print the metrics as JSON, and nothing else, on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
+struct PaperArgs {
+    /// Where to write report.html and tables.json; files of the same names are replaced
+    #[arg(long, default_value = "out/paper")]
+    out: PathBuf,
+    /// Run each case with the seeds 1 to this
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    seeds: u64,
+    /// Run this experiment alone; may be repeated
+    #[arg(long, value_name = "NAME", value_parser = experiment)]
+    only: Vec<Experiment>,
+    /// Print tables.json, and nothing else, on standard output
     #[arg(long)]
     json: bool,
 }
@@ -109,6 +129,7 @@ fn main() -> ExitCode {
     let cli = Cli::parse();
     let result = match cli.command {
         Some(Command::Run(args)) => run_scenario(&args),
+        Some(Command::Paper(args)) => run_paper(&args),
         Some(Command::Plants(args)) => run_plants(&args),
         Some(Command::Demo(args)) => run_demo(&args),
         None => run_demo(&cli.demo),
@@ -205,6 +226,48 @@ fn run_demo(args: &DemoArgs) -> anyhow::Result<Outcome> {
     });
     let held = all_good && run.metrics.violations.is_empty();
     Ok(if held { Outcome::Held } else { Outcome::Broken })
+}
+
+fn run_paper(args: &PaperArgs) -> anyhow::Result<Outcome> {
+    let cannot_write = || {
+        let folder = args.out.display();
+        format!("cannot write {folder}; choose another folder with --out")
+    };
+    // Rather now than after minutes.
+    std::fs::create_dir_all(&args.out).with_context(cannot_write)?;
+    let chosen = |experiment: &Experiment| args.only.is_empty() || args.only.contains(experiment);
+    let experiments: Vec<_> = Experiment::ALL.into_iter().filter(chosen).collect();
+    let runs = paper::jobs(&experiments, args.seeds).len();
+    let bar = paper::progress(runs);
+    let results = paper::run(&experiments, args.seeds, ensemble::every_core(), |done| {
+        bar.set_position(done as u64);
+    });
+    bar.finish_and_clear();
+    let results = results?;
+    let tables = results.table.json();
+    let page = paper::page::html(&results)?;
+    for (name, text) in [("tables.json", &tables), ("report.html", &page)] {
+        std::fs::write(args.out.join(name), text).with_context(cannot_write)?;
+    }
+    let mut stdout = std::io::stdout().lock();
+    if args.json {
+        write!(stdout, "{tables}")?;
+    } else {
+        let colour = stdout.is_terminal();
+        write!(stdout, "{}", paper::terminal::summary(&results, colour))?;
+        let page = args.out.join("report.html");
+        writeln!(stdout, "Figures and tables: {}", page.display())?;
+    }
+    Ok(Outcome::Held)
+}
+
+/// The experiment of this name.
+fn experiment(name: &str) -> Result<Experiment, String> {
+    let named = Experiment::ALL.iter().find(|known| known.name() == name);
+    named.copied().ok_or_else(|| {
+        let known: Vec<_> = Experiment::ALL.iter().map(|known| known.name()).collect();
+        format!("there is no such experiment: use {}", known.join(", "))
+    })
 }
 
 /// Logs to standard error: warnings alone are too much beside a table that is redrawn, so that errors only are shown unless asked.

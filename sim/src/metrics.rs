@@ -1,6 +1,6 @@
 //! The figures of a run: `metrics.json`.
 //!
-//! Definitions, in one place. *Position error*: distance of the true centre from the reference. *Heading error*: true minus
+//! The figures are those of [`crate::indicators`]. *Position error*: distance of the true centre from the reference. *Heading error*: true minus
 //! reference, wrapped to ±π. *Roll error*: true minus reference. *After settling*: rows at least `settle_s` after the robot's
 //! mission began; the plain names are taken there, the `*_all_*` ones from the mission's beginning on. Modes, separations and
 //! counts are those of the whole run. A figure that does not apply, or has no rows to stand on, is `null`. Quantiles are
@@ -12,6 +12,11 @@ use serde::Serialize;
 use sphere_protocol::robot::RobotId;
 use sphere_protocol::time::Span;
 
+use crate::indicators::{
+    SETTLING_BAND, Sample, largest, mean_absolute, rise_time, root_mean_square, settling_time,
+    wrapped,
+};
+pub use crate::indicators::{Step as RollStep, quantile};
 use crate::trace::{MODES, ROW_PERIOD, Row, Trace, mode_name};
 
 /// What the world knows of a robot beside its trace.
@@ -21,7 +26,7 @@ pub struct RobotRecord {
     pub robot: RobotId,
     /// When its mission began, in virtual time since the start of the run; `None` if it never did.
     pub mission_start: Option<Span>,
-    /// The step of a direction experiment.
+    /// The step of a direction experiment [rad].
     pub roll_step: Option<RollStep>,
     /// Plans the station sent to it.
     pub plans_sent: u64,
@@ -35,19 +40,6 @@ pub struct RobotRecord {
     pub bytes_down: u64,
     /// What made the plans sent.
     pub solver: SolverCounts,
-}
-
-/// A typed step of the roll.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RollStep {
-    /// When, in virtual time since the start of the run.
-    pub at: Span,
-    /// Roll before [rad].
-    pub from: f64,
-    /// Roll after [rad].
-    pub to: f64,
-    /// When the roll is next changed, or the experiment ends; `None` = not.
-    pub until: Option<Span>,
 }
 
 /// How often each source made a plan.
@@ -245,9 +237,8 @@ impl RobotMetrics {
             .iter()
             .map(|delay| delay.as_secs_f64())
             .collect();
-        let (rise_time_s, settling_time_s) = record
-            .roll_step
-            .map_or((None, None), |step| step_times(rows, step));
+        let roll = samples(rows, |row| Some(row.truth.q_r));
+        let step = record.roll_step;
 
         Self {
             id: record.robot.to_string(),
@@ -259,8 +250,8 @@ impl RobotMetrics {
             estimate_rmse_m: root_mean_square(&errors(settled, estimate_error)),
             roll_rmse_deg: root_mean_square(&rolls).map(f64::to_degrees),
             roll_mae_deg: mean_absolute(&rolls).map(f64::to_degrees),
-            rise_time_s,
-            settling_time_s,
+            rise_time_s: step.and_then(|step| rise_time(&roll, &step)),
+            settling_time_s: step.and_then(|step| settling_time(&roll, &step, SETTLING_BAND)),
             time_in_mode_s: time_in_mode(rows),
             plans_sent: record.plans_sent,
             plans_adopted: record.plans_adopted,
@@ -283,9 +274,8 @@ pub fn position_error(row: &Row) -> Option<f64> {
 
 /// True minus reference heading, in −π..π [rad].
 pub fn heading_error(row: &Row) -> Option<f64> {
-    use core::f64::consts::{PI, TAU};
     let pose = row.reference?.pose?;
-    Some((row.truth.heading - pose.heading + PI).rem_euclid(TAU) - PI)
+    Some(wrapped(row.truth.heading - pose.heading))
 }
 
 /// True minus reference roll [rad].
@@ -294,34 +284,18 @@ pub fn roll_error(row: &Row) -> Option<f64> {
 }
 
 /// Distance of the estimated from the true centre [m].
-fn estimate_error(row: &Row) -> Option<f64> {
+pub fn estimate_error(row: &Row) -> Option<f64> {
     Some((row.truth.x - row.estimate.x).hypot(row.truth.y - row.estimate.y))
 }
 
-/// The smallest sample that at least the share `p` of `samples` does not exceed (nearest rank); `None` of none.
-pub fn quantile(samples: &[f64], p: f64) -> Option<f64> {
-    let mut sorted = samples.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let rank = (p * sorted.len() as f64).ceil().max(1.0) as usize;
-    sorted.get(rank - 1).copied()
+/// What `value` gives of each row that has it, with the row's time.
+pub fn samples(rows: &[&Row], value: impl Fn(&Row) -> Option<f64>) -> Vec<Sample> {
+    let sample = |row: &&Row| value(row).map(|value| Sample { t: row.t, value });
+    rows.iter().filter_map(sample).collect()
 }
 
 fn errors(rows: &[&Row], error: impl Fn(&Row) -> Option<f64>) -> Vec<f64> {
     rows.iter().filter_map(|row| error(row)).collect()
-}
-
-fn root_mean_square(errors: &[f64]) -> Option<f64> {
-    let squares: f64 = errors.iter().map(|error| error * error).sum();
-    (!errors.is_empty()).then(|| (squares / errors.len() as f64).sqrt())
-}
-
-fn mean_absolute(errors: &[f64]) -> Option<f64> {
-    let sum: f64 = errors.iter().map(|error| error.abs()).sum();
-    (!errors.is_empty()).then(|| sum / errors.len() as f64)
-}
-
-fn largest(errors: &[f64]) -> Option<f64> {
-    errors.iter().copied().max_by(f64::total_cmp)
 }
 
 fn time_in_mode(rows: &[&Row]) -> BTreeMap<&'static str, f64> {
@@ -336,22 +310,6 @@ fn time_in_mode(rows: &[&Row]) -> BTreeMap<&'static str, f64> {
             )
         })
         .collect()
-}
-
-/// Rise and settling time of the true roll [s].
-fn step_times(rows: &[&Row], step: RollStep) -> (Option<f64>, Option<f64>) {
-    const BAND: f64 = core::f64::consts::PI / 180.0;
-    let before = |t: Span| rows.partition_point(|row| row.t < t);
-    let last = step.until.map_or(rows.len(), before);
-    let after = &rows[before(step.at).min(last)..last];
-    let time = |row: &&Row| (row.t - step.at).as_secs_f64();
-    let reached = |row: &&&Row| (row.truth.q_r - step.to) * (step.to - step.from).signum() >= 0.0;
-    let outside = |row: &&Row| (row.truth.q_r - step.to).abs() > BAND;
-    let settled = match after.iter().rposition(outside) {
-        Some(last) => after.get(last + 1),
-        None => after.first(),
-    };
-    (after.iter().find(reached).map(time), settled.map(time))
 }
 
 /// Smallest distance of each robot's centre from any other's at one instant [m].

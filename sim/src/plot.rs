@@ -3,8 +3,8 @@
 //! Colours keep their meaning: blue is true, orange commanded, broad grey what should be followed. The palette is Okabe and
 //! Ito's, told apart by every common kind of colour vision.
 
-mod figure;
-mod path;
+pub(crate) mod figure;
+pub(crate) mod path;
 
 use sphere_protocol::message::Mode;
 use sphere_protocol::robot::RobotId;
@@ -316,7 +316,7 @@ fn modes(rows: &[&Row], subject: Subject<'_>) -> Result<String, PlotError> {
     .svg()
 }
 
-fn panel(title: &str, height: u32) -> Panel<'_> {
+pub(crate) fn panel(title: &str, height: u32) -> Panel<'_> {
     Panel {
         title,
         height,
@@ -350,17 +350,16 @@ fn broad<'a>(name: &'a str, points: Vec<(f64, f64)>) -> Line<'a> {
 /// Value over time; where there is none, a gap.
 fn series(rows: &[&Row], value: impl Fn(&Row) -> Option<f64>) -> Vec<(f64, f64)> {
     let point = |row: &&Row| (row.t.as_secs_f64(), value(row).unwrap_or(f64::NAN));
-    thinned(rows.iter().map(point).collect())
+    thinned(rows.iter().map(point).collect(), BUCKETS)
 }
 
-/// At most some thousand points: of each bucket the first, the smallest and the largest, so that no spike is lost.
-fn thinned(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
-    const BUCKETS: usize = 2000;
-    if points.len() <= 3 * BUCKETS {
+/// At most three points of each of `buckets` stretches: the first, the smallest and the largest, so that no spike is lost.
+pub(crate) fn thinned(points: Vec<(f64, f64)>, buckets: usize) -> Vec<(f64, f64)> {
+    if points.len() <= 3 * buckets {
         return points;
     }
-    let bucket = points.len().div_ceil(BUCKETS);
-    let mut kept = Vec::with_capacity(3 * BUCKETS);
+    let bucket = points.len().div_ceil(buckets);
+    let mut kept = Vec::with_capacity(3 * buckets);
     for chunk in points.chunks(bucket) {
         let by_value = |a: &&(f64, f64), b: &&(f64, f64)| a.1.total_cmp(&b.1);
         let extremes = [chunk.iter().min_by(by_value), chunk.iter().max_by(by_value)];
@@ -434,7 +433,7 @@ fn fitting(lines: &[Line<'_>], least: f64) -> (f64, f64) {
 }
 
 /// 10^`value` metres in words, at whole decades.
-fn decade(value: f64) -> String {
+pub(crate) fn decade(value: f64) -> String {
     let whole = value.round();
     if (value - whole).abs() > 1e-6 {
         return String::new();
@@ -465,4 +464,6 @@ const fn mode_colour(mode: Mode) -> RGBColor {
     }
 }
 
+/// Stretches of a line in the plots of one run, which are looked at closely.
+const BUCKETS: usize = 2000;
 const APPROACH: RGBColor = RGBColor(242, 242, 242);

@@ -10,98 +10,98 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use super::PlotError;
 
 /// A place to draw: the whole figure or part of it.
-pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+pub(crate) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
 /// Lengths inside a figure are this many times those shown: coordinates are rounded to whole numbers.
 const FINE: u32 = 8;
 /// Width of every figure [px].
-pub(super) const WIDTH: u32 = 960;
+pub(crate) const WIDTH: u32 = 960;
 /// Room beside a panel for its vertical axis [px].
-pub(super) const LEFT: u32 = 64;
+pub(crate) const LEFT: u32 = 64;
 /// Room to the right of a panel [px].
-pub(super) const RIGHT: u32 = 24;
+pub(crate) const RIGHT: u32 = 24;
 /// Height of the figure's title [px].
 const TITLE: u32 = 44;
 /// Height of a panel's title and legend [px].
-pub(super) const HEAD: u32 = 30;
+pub(crate) const HEAD: u32 = 30;
 /// Height of the time axis's labels [px].
-pub(super) const FOOT: u32 = 50;
+pub(crate) const FOOT: u32 = 50;
 
 // Okabe and Ito's palette: told apart by every common kind of colour vision.
 /// What is true.
-pub(super) const BLUE: RGBColor = RGBColor(0, 114, 178);
+pub(crate) const BLUE: RGBColor = RGBColor(0, 114, 178);
 /// What is commanded.
-pub(super) const ORANGE: RGBColor = RGBColor(213, 94, 0);
+pub(crate) const ORANGE: RGBColor = RGBColor(213, 94, 0);
 /// A third line.
-pub(super) const GREEN: RGBColor = RGBColor(0, 158, 115);
+pub(crate) const GREEN: RGBColor = RGBColor(0, 158, 115);
 /// A fourth.
-pub(super) const PINK: RGBColor = RGBColor(204, 121, 167);
+pub(crate) const PINK: RGBColor = RGBColor(204, 121, 167);
 /// A fifth.
-pub(super) const SKY: RGBColor = RGBColor(86, 180, 233);
+pub(crate) const SKY: RGBColor = RGBColor(86, 180, 233);
 /// A sixth.
-pub(super) const AMBER: RGBColor = RGBColor(230, 159, 0);
+pub(crate) const AMBER: RGBColor = RGBColor(230, 159, 0);
 /// References, drawn broad beneath what should follow them.
-pub(super) const GREY: RGBColor = RGBColor(190, 190, 190);
+pub(crate) const GREY: RGBColor = RGBColor(190, 190, 190);
 /// Titles, and lines that are no data.
-pub(super) const INK: RGBColor = RGBColor(40, 40, 40);
+pub(crate) const INK: RGBColor = RGBColor(40, 40, 40);
 /// Grid.
-pub(super) const FAINT: RGBColor = RGBColor(232, 232, 232);
+pub(crate) const FAINT: RGBColor = RGBColor(232, 232, 232);
 /// Background.
-pub(super) const PAPER: RGBColor = RGBColor(255, 255, 255);
+pub(crate) const PAPER: RGBColor = RGBColor(255, 255, 255);
 
 /// Panels one above the other that share the time axis.
-pub(super) struct Figure<'a> {
-    pub(super) title: String,
+pub(crate) struct Figure<'a> {
+    pub(crate) title: String,
     /// Beginning and end of the time axis [s].
-    pub(super) time: (f64, f64),
-    pub(super) panels: Vec<Panel<'a>>,
+    pub(crate) time: (f64, f64),
+    pub(crate) panels: Vec<Panel<'a>>,
 }
 
 /// One panel: lines over time.
-pub(super) struct Panel<'a> {
+pub(crate) struct Panel<'a> {
     /// Quantity and unit: plotters would cut a text that stands along the axis.
-    pub(super) title: &'a str,
+    pub(crate) title: &'a str,
     /// Height of the data's part [px].
-    pub(super) height: u32,
-    pub(super) range: (f64, f64),
-    pub(super) lines: Vec<Line<'a>>,
+    pub(crate) height: u32,
+    pub(crate) range: (f64, f64),
+    pub(crate) lines: Vec<Line<'a>>,
     /// Dashed levels with a name.
-    pub(super) levels: Vec<(f64, &'a str)>,
+    pub(crate) levels: Vec<(f64, &'a str)>,
     /// Coloured stretches of time over the whole height.
-    pub(super) bands: Vec<Band>,
+    pub(crate) bands: Vec<Band>,
     /// How a value on the vertical axis reads; `None` draws no such axis.
-    pub(super) label: Option<fn(&f64) -> String>,
+    pub(crate) label: Option<fn(&f64) -> String>,
     /// Names of bands for the legend.
-    pub(super) keys: Vec<Key<'a>>,
+    pub(crate) keys: Vec<Key<'a>>,
 }
 
 /// One line of a panel; a point that is not finite, or outside the panel, interrupts it.
-pub(super) struct Line<'a> {
-    pub(super) name: &'a str,
-    pub(super) colour: RGBColor,
+pub(crate) struct Line<'a> {
+    pub(crate) name: &'a str,
+    pub(crate) colour: RGBColor,
     /// Width [px].
-    pub(super) width: f64,
-    pub(super) points: Vec<(f64, f64)>,
+    pub(crate) width: f64,
+    pub(crate) points: Vec<(f64, f64)>,
 }
 
 /// A stretch of time in a colour.
-pub(super) struct Band {
-    pub(super) from: f64,
-    pub(super) to: f64,
-    pub(super) colour: RGBColor,
+pub(crate) struct Band {
+    pub(crate) from: f64,
+    pub(crate) to: f64,
+    pub(crate) colour: RGBColor,
 }
 
 /// An entry of a legend.
-pub(super) struct Key<'a> {
-    pub(super) name: &'a str,
-    pub(super) colour: RGBColor,
+pub(crate) struct Key<'a> {
+    pub(crate) name: &'a str,
+    pub(crate) colour: RGBColor,
     /// Width of the line [px].
-    pub(super) width: f64,
+    pub(crate) width: f64,
 }
 
 impl Figure<'_> {
     /// The figure as SVG.
-    pub(super) fn svg(&self) -> Result<String, PlotError> {
+    pub(crate) fn svg(&self) -> Result<String, PlotError> {
         let last = self.panels.len().saturating_sub(1);
         let foot = |index| if index == last { FOOT } else { 12 };
         let heights: Vec<_> = self
@@ -207,7 +207,7 @@ impl Panel<'_> {
 }
 
 /// An SVG of `height` pixels below its title, drawn by `draw`.
-pub(super) fn canvas(
+pub(crate) fn canvas(
     title: &str,
     height: u32,
     draw: impl FnOnce(Area<'_>) -> Result<(), PlotError>,
@@ -230,7 +230,7 @@ pub(super) fn canvas(
 }
 
 /// A panel's title with its legend in the same line.
-pub(super) fn legend(area: &Area<'_>, title: &str, keys: &[Key<'_>]) -> Result<(), PlotError> {
+pub(crate) fn legend(area: &Area<'_>, title: &str, keys: &[Key<'_>]) -> Result<(), PlotError> {
     const SWATCH: f64 = 22.0;
     let middle = Pos::new(HPos::Left, VPos::Center);
     let bold = text(13.5).transform_bold().pos(middle);
@@ -255,20 +255,34 @@ pub(super) fn legend(area: &Area<'_>, title: &str, keys: &[Key<'_>]) -> Result<(
     Ok(())
 }
 
-/// The parts of `points` that are finite and inside `range`.
-fn stretches(
-    points: &[(f64, f64)],
-    (low, high): (f64, f64),
-) -> impl Iterator<Item = Vec<(f64, f64)>> {
-    let inside = move |point: &(f64, f64)| (low..=high).contains(&point.1);
-    points
-        .chunk_by(move |a, b| inside(a) == inside(b))
-        .filter(move |chunk| inside(&chunk[0]))
-        .map(<[_]>::to_vec)
+/// The parts of `points` that are finite and inside `range`, each continued to the edge at which it leaves.
+fn stretches(points: &[(f64, f64)], (low, high): (f64, f64)) -> Vec<Vec<(f64, f64)>> {
+    let inside = |point: &(f64, f64)| (low..=high).contains(&point.1);
+    // Where the line from `a`, inside, to `b`, outside, meets the edge.
+    let edge = |a: (f64, f64), b: (f64, f64)| {
+        let y = if b.1 > high { high } else { low };
+        let x = a.0 + (b.0 - a.0) * (y - a.1) / (b.1 - a.1);
+        (b.1.is_finite() && x.is_finite()).then_some((x, y))
+    };
+    let mut stretches = Vec::new();
+    let mut begin = 0;
+    for chunk in points.chunk_by(|a, b| inside(a) == inside(b)) {
+        let end = begin + chunk.len();
+        if inside(&chunk[0]) {
+            let before = begin.checked_sub(1).map(|i| points[i]);
+            let first = before.and_then(|before| edge(chunk[0], before));
+            let after = points.get(end).copied();
+            let last = after.and_then(|after| edge(chunk[chunk.len() - 1], after));
+            let stretch = first.into_iter().chain(chunk.iter().copied()).chain(last);
+            stretches.push(stretch.collect());
+        }
+        begin = end;
+    }
+    stretches
 }
 
 /// Black text of `size` pixels.
-pub(super) fn text(size: f64) -> TextStyle<'static> {
+pub(crate) fn text(size: f64) -> TextStyle<'static> {
     // The SVG backend divides by 1.24.
     ("sans-serif", size * 1.24 * f64::from(FINE))
         .into_font()
@@ -286,14 +300,14 @@ fn width(text: &str, size: f64) -> f64 {
 }
 
 /// `value` without needless digits.
-pub(super) fn tidy(value: f64) -> String {
+pub(crate) fn tidy(value: f64) -> String {
     let rounded = (value * 1e4).round() / 1e4;
     // Not "-0".
     format!("{}", rounded + 0.0)
 }
 
 /// `length` shown pixels.
-pub(super) const fn px(length: u32) -> u32 {
+pub(crate) const fn px(length: u32) -> u32 {
     length * FINE
 }
 
@@ -306,7 +320,7 @@ fn fine_i(length: f64) -> i32 {
 }
 
 /// The place `x`, `y` shown pixels from the corner.
-pub(super) fn at(x: u32, y: u32) -> (i32, i32) {
+pub(crate) fn at(x: u32, y: u32) -> (i32, i32) {
     (fine_i(f64::from(x)), fine_i(f64::from(y)))
 }
 
@@ -318,5 +332,29 @@ impl Bold for TextStyle<'_> {
     fn transform_bold(mut self) -> Self {
         self.font = self.font.style(FontStyle::Bold);
         self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_that_leaves_the_panel_is_drawn_to_its_edge_and_a_gap_is_not() {
+        let points = [
+            (0.0, 0.0),
+            (1.0, 4.0),
+            (2.0, 0.0),
+            (3.0, -4.0),
+            (4.0, f64::NAN),
+            (5.0, 1.0),
+        ];
+        let expected = [
+            vec![(0.0, 0.0), (0.5, 2.0)],
+            vec![(1.5, 2.0), (2.0, 0.0), (2.5, -2.0)],
+            vec![(5.0, 1.0)],
+        ];
+        assert_eq!(stretches(&points, (-2.0, 2.0)), expected);
+        assert!(stretches(&[], (0.0, 1.0)).is_empty());
     }
 }

@@ -79,6 +79,56 @@ pub(super) fn fleet(trace: &Trace, robots: &[RobotId], run: &str) -> Result<Stri
     })
 }
 
+/// Several paths over the one that was to be driven. What is far from it is not shown.
+pub(crate) fn compared(
+    title: &str,
+    mission: Points,
+    driven: &[(&str, RGBColor, Points)],
+) -> Result<String, PlotError> {
+    /// Farther than this from the mission's extent nothing is shown [m].
+    const AROUND: f64 = 1.0;
+    let mission = spaced_by(mission.into_iter(), SPACING_COMPARED);
+    let extent = |of: fn(&(f64, f64)) -> f64| {
+        let values = mission.iter().map(of);
+        values.fold((0.0_f64, 0.0_f64), |(low, high), value| {
+            (low.min(value), high.max(value))
+        })
+    };
+    let (x, y) = (extent(|p| p.0), extent(|p| p.1));
+    let near = |p: &(f64, f64)| {
+        let within = |value: f64, (low, high)| (low - AROUND..=high + AROUND).contains(&value);
+        within(p.0, x) && within(p.1, y)
+    };
+    let driven: Vec<_> = driven
+        .iter()
+        .map(|(name, colour, points)| {
+            let points = points.iter().copied().filter(|p| near(p));
+            (*name, *colour, spaced_by(points, SPACING_COMPARED))
+        })
+        .collect();
+    let mut keys = vec![Key {
+        name: "mission",
+        colour: GREY,
+        width: 6.0,
+    }];
+    keys.extend(driven.iter().map(|(name, colour, _)| Key {
+        name,
+        colour: *colour,
+        width: 1.8,
+    }));
+    let all = driven.iter().flat_map(|(_, _, points)| points);
+    let view = View::of(mission.iter().chain(all));
+    view.svg(title, "", &keys, |chart| {
+        draw_line(chart, mission.clone(), GREY, 6)?;
+        // The first on top.
+        for (_, colour, points) in driven.iter().rev() {
+            draw_line(chart, points.clone(), *colour, 2)?;
+        }
+        let start = driven.first().and_then(|(_, _, points)| points.first());
+        mark(chart, start, "start", INK, HPos::Right)
+    })
+}
+
 /// The part of the floor that is shown.
 struct View {
     x: (f64, f64),
@@ -216,12 +266,20 @@ fn reference(rows: &[&Row]) -> Points {
 
 /// The finite points, less those within 2 mm of the one before: standing still needs no thousand points.
 fn spaced(points: impl Iterator<Item = (f64, f64)>) -> Points {
+    spaced_by(points, 2e-3)
+}
+
+/// The finite points, less those within `spacing` of the one before [m].
+fn spaced_by(points: impl Iterator<Item = (f64, f64)>, spacing: f64) -> Points {
     let mut kept: Points = Vec::new();
     for point in points.filter(|point| point.0.is_finite() && point.1.is_finite()) {
-        let moved = |last: &(f64, f64)| (point.0 - last.0).hypot(point.1 - last.1) >= 2e-3;
+        let moved = |last: &(f64, f64)| (point.0 - last.0).hypot(point.1 - last.1) >= spacing;
         if kept.last().is_none_or(moved) {
             kept.push(point);
         }
     }
     kept
 }
+
+/// Between points of paths that are compared on one page [m].
+const SPACING_COMPARED: f64 = 0.02;
