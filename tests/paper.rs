@@ -143,6 +143,7 @@ fn tables_have_every_row_and_every_key_and_the_same_bytes_again() {
 }
 
 #[test]
+#[allow(clippy::approx_constant, reason = "6.28° is no 2π")]
 fn numbers_beside_ours_are_those_the_paper_prints() {
     // Tables II and III, line by line.
     let printed = |experiment: Experiment, velocity: f64, controller, indicators: &[Indicator]| {

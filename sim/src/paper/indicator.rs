@@ -111,6 +111,7 @@ impl Indicator {
 
     /// What the paper prints for it, of hardware, in its unit: by the kind of controller, whichever variant of it `case` has. Angles
     /// whose header says m/s are degrees (E14).
+    #[allow(clippy::approx_constant, reason = "6.28° is no 2π")]
     pub fn printed(self, case: &Case) -> Option<f64> {
         let kind = match case.controller {
             Controller::Htsmc | Controller::HtsmcPaper => 0,

@@ -80,6 +80,7 @@ pub(super) fn fleet(trace: &Trace, robots: &[RobotId], run: &str) -> Result<Stri
 }
 
 /// Several paths over the one that was to be driven. What is far from it is not shown.
+#[cfg(feature = "io")]
 pub(crate) fn compared(
     title: &str,
     mission: Points,
@@ -87,7 +88,9 @@ pub(crate) fn compared(
 ) -> Result<String, PlotError> {
     /// Farther than this from the mission's extent nothing is shown [m].
     const AROUND: f64 = 1.0;
-    let mission = spaced_by(mission.into_iter(), SPACING_COMPARED);
+    /// Between two points [m].
+    const SPACING: f64 = 0.02;
+    let mission = spaced_by(mission.into_iter(), SPACING);
     let extent = |of: fn(&(f64, f64)) -> f64| {
         let values = mission.iter().map(of);
         values.fold((0.0_f64, 0.0_f64), |(low, high), value| {
@@ -103,7 +106,7 @@ pub(crate) fn compared(
         .iter()
         .map(|(name, colour, points)| {
             let points = points.iter().copied().filter(|p| near(p));
-            (*name, *colour, spaced_by(points, SPACING_COMPARED))
+            (*name, *colour, spaced_by(points, SPACING))
         })
         .collect();
     let mut keys = vec![Key {
@@ -280,6 +283,3 @@ fn spaced_by(points: impl Iterator<Item = (f64, f64)>, spacing: f64) -> Points {
     }
     kept
 }
-
-/// Between points of paths that are compared on one page [m].
-const SPACING_COMPARED: f64 = 0.02;
