@@ -58,6 +58,8 @@ pub mod plot;
 #[cfg(feature = "io")]
 pub mod relay;
 pub mod report;
+#[cfg(feature = "io")]
+pub mod robustness;
 pub mod run;
 pub mod scenario;
 pub mod sensor;

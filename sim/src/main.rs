@@ -14,7 +14,7 @@ use sphere_sim::live::Ports;
 use sphere_sim::paper::{self, Experiment};
 use sphere_sim::run::{Run, run};
 use sphere_sim::scenario::Scenario;
-use sphere_sim::{output, plants_command, plot, report};
+use sphere_sim::{output, plants_command, plot, report, robustness};
 
 /// The fleet against simulated robots and a network that delays and loses: live, or in virtual time. Without a subcommand: the demo.
 #[derive(Parser)]
@@ -34,6 +34,8 @@ enum Command {
     Run(RunArgs),
     /// Run the paper's experiments in virtual time over many seeds: tables, figures, and who wins where
     Paper(PaperArgs),
+    /// Run the roll step on robots and in worlds that differ from what the controllers were tuned on: who bears what, as a map
+    Robustness(RobustnessArgs),
     /// Run plants in real time behind MAVLink over UDP, until Ctrl-C
     Plants(PlantsArgs),
 }
@@ -68,6 +70,19 @@ struct PaperArgs {
     #[arg(long, value_name = "NAME", value_parser = experiment)]
     only: Vec<Experiment>,
     /// Print tables.json, and nothing else, on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
+struct RobustnessArgs {
+    /// Where to write robustness.json, robustness.md and robustness.svg; files of the same names are replaced
+    #[arg(long, default_value = "out/robustness")]
+    out: PathBuf,
+    /// Seeds a case: 1 to this; ten times as many where the robot itself is drawn
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    seeds: u64,
+    /// Print robustness.json, and nothing else, on standard output
     #[arg(long)]
     json: bool,
 }
@@ -130,6 +145,7 @@ fn main() -> ExitCode {
     let result = match cli.command {
         Some(Command::Run(args)) => run_scenario(&args),
         Some(Command::Paper(args)) => run_paper(&args),
+        Some(Command::Robustness(args)) => run_robustness(&args),
         Some(Command::Plants(args)) => run_plants(&args),
         Some(Command::Demo(args)) => run_demo(&args),
         None => run_demo(&cli.demo),
@@ -268,6 +284,43 @@ fn experiment(name: &str) -> Result<Experiment, String> {
         let known: Vec<_> = Experiment::ALL.iter().map(|known| known.name()).collect();
         format!("there is no such experiment: use {}", known.join(", "))
     })
+}
+
+fn run_robustness(args: &RobustnessArgs) -> anyhow::Result<Outcome> {
+    let cannot_write = || {
+        let folder = args.out.display();
+        format!("cannot write {folder}; choose another folder with --out")
+    };
+    std::fs::create_dir_all(&args.out).with_context(cannot_write)?;
+    let cases = robustness::cases();
+    let bar = paper::progress(robustness::runs(&cases, args.seeds));
+    let lines = robustness::run_all(&cases, args.seeds, ensemble::every_core(), |done| {
+        bar.set_position(done as u64);
+    });
+    bar.finish_and_clear();
+    let lines = lines?;
+    let mut json = serde_json::to_string_pretty(&lines)?;
+    json.push('\n');
+    let table = robustness::markdown(&lines);
+    for (name, text) in [
+        ("robustness.json", &json),
+        ("robustness.md", &table),
+        ("robustness.svg", &robustness::heat_map(&lines)),
+    ] {
+        std::fs::write(args.out.join(name), text).with_context(cannot_write)?;
+    }
+    let mut stdout = std::io::stdout().lock();
+    if args.json {
+        write!(stdout, "{json}")?;
+    } else {
+        write!(stdout, "{}", robustness::terminal(&lines))?;
+        writeln!(
+            stdout,
+            "The map: {}",
+            args.out.join("robustness.svg").display()
+        )?;
+    }
+    Ok(Outcome::Held)
 }
 
 /// Logs to standard error: warnings alone are too much beside a table that is redrawn, so that errors only are shown unless asked.
