@@ -48,7 +48,7 @@
 //! ```
 //!
 //! In reading order: [`agent`], its [`config`] and [`mode`]; [`board_clock`] and [`estimator`]; [`plan`] and [`reference`](mod@reference);
-//! [`control`] with its [`gains`] and [`model`]; [`run`].
+//! [`control`] with its [`gains`] and [`model`]; [`identify`](mod@identify); [`run`].
 
 pub mod agent;
 pub mod board_clock;
@@ -58,6 +58,7 @@ pub mod control;
 pub mod estimator;
 pub mod gains;
 pub mod gains_table;
+pub mod identify;
 pub mod mode;
 pub mod model;
 pub mod plan;

@@ -8,6 +8,9 @@
 //!
 //! The control thread never calls Zenoh, never waits for a lock, and keeps going whatever the network does.
 
+pub mod drive;
+pub mod record;
+
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
@@ -22,13 +25,14 @@ use sphere_protocol::mavlink::FrameCounters;
 use sphere_protocol::message::{Direction, DropReason, Mode, PlanId, Qos};
 use sphere_protocol::time::{AgentClock, Instant, Span};
 use thiserror::Error;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 use tracing::{debug, info, warn};
 
 use crate::agent::{Agent, Event, Input, Output, Payload, Signals};
 use crate::config::AgentConfig;
 use crate::gains::GainsError;
 use crate::mode::Reason;
+use record::Recorder;
 
 /// What an agent is run with.
 pub struct Setup {
@@ -40,6 +44,8 @@ pub struct Setup {
     pub network: Role,
     /// Where to show what it does, for a display in the same process.
     pub watch: Option<Arc<Mutex<Snapshot>>>,
+    /// Where to leave what passes on the motor link.
+    pub recorder: Option<Recorder>,
 }
 
 /// What an agent does, now.
@@ -160,37 +166,21 @@ pub async fn run(setup: Setup, mut stop: mpsc::Receiver<()>) -> Result<Report, R
         link,
         network,
         watch,
+        recorder,
     } = setup;
     let id = config.id;
-    let clock = Clock::<AgentClock>::start();
-    let agent = Agent::new(clock.now(), config)?;
     let inbox = Inbox::new(INBOX);
     let stops = Stops::default();
     let (outgoing, mut outbox) = mpsc::channel(OUTBOX);
 
-    let control = {
-        let (inbox, stops) = (inbox.clone(), stops.clone());
-        let (ended, result) = tokio::sync::oneshot::channel();
-        thread::Builder::new()
-            .name(format!("control-{id}"))
-            .spawn(move || {
-                if let Err(refused) = real_time::begin(real_time::CONTROL) {
-                    info!("{refused}");
-                }
-                // If nobody waits any more there is nobody to tell.
-                let _ = ended.send(control_loop(
-                    agent,
-                    clock,
-                    &link,
-                    &inbox,
-                    &outgoing,
-                    &stops,
-                    watch.as_deref(),
-                ));
-            })
-            .map_err(RunError::Thread)?;
-        result
-    };
+    let control = ControlThread {
+        inbox: inbox.clone(),
+        outgoing,
+        stops: stops.clone(),
+        watch,
+        recorder,
+    }
+    .start(config, link)?;
     tokio::pin!(control);
 
     let (found, mut opened) = mpsc::channel(1);
@@ -234,16 +224,57 @@ pub async fn run(setup: Setup, mut stop: mpsc::Receiver<()>) -> Result<Report, R
     }
 }
 
+/// What the control thread is joined to.
+struct ControlThread {
+    inbox: Inbox,
+    outgoing: mpsc::Sender<Outgoing>,
+    stops: Stops,
+    watch: Option<Arc<Mutex<Snapshot>>>,
+    recorder: Option<Recorder>,
+}
+
+impl ControlThread {
+    /// Starts it; what it comes to is sent once.
+    fn start(
+        self,
+        config: AgentConfig,
+        link: UdpLink,
+    ) -> Result<oneshot::Receiver<Result<Report, RunError>>, RunError> {
+        let id = config.id;
+        let clock = Clock::<AgentClock>::start();
+        let agent = Agent::new(clock.now(), config)?;
+        let (ended, result) = oneshot::channel();
+        thread::Builder::new()
+            .name(format!("control-{id}"))
+            .spawn(move || {
+                if let Err(refused) = real_time::begin(real_time::CONTROL) {
+                    info!("{refused}");
+                }
+                let report = control_loop(agent, clock, &link, &self);
+                // Whoever waits for the recording waits for its last sender.
+                drop(self);
+                // If nobody waits any more there is nobody to tell.
+                let _ = ended.send(report);
+            })
+            .map_err(RunError::Thread)?;
+        Ok(result)
+    }
+}
+
 /// The control thread: sensor frames as they come, messages, deadlines.
 fn control_loop(
     mut agent: Agent,
     clock: Clock<AgentClock>,
     link: &UdpLink,
-    inbox: &Inbox,
-    outgoing: &mpsc::Sender<Outgoing>,
-    stops: &Stops,
-    watch: Option<&Mutex<Snapshot>>,
+    joined: &ControlThread,
 ) -> Result<Report, RunError> {
+    let ControlThread {
+        inbox,
+        outgoing,
+        stops,
+        watch,
+        recorder,
+    } = joined;
     let mut buffer = [0; DATAGRAM_MAX];
     let mut lateness = Lateness::default();
     let mut stops_seen = 0;
@@ -257,7 +288,11 @@ fn control_loop(
             let Some(bytes) = received.map_err(RunError::Link)? else {
                 break;
             };
-            agent.handle_input(clock.now(), Input::Motor(bytes));
+            let now = clock.now();
+            agent.handle_input(now, Input::Motor(bytes));
+            if let Some(recorder) = recorder {
+                recorder.board_said(now, bytes);
+            }
             patience = Duration::ZERO;
         }
         while let Some(message) = inbox.pop() {
@@ -290,7 +325,12 @@ fn control_loop(
         let mut ended = false;
         while let Some(output) = agent.poll_output() {
             match output {
-                Output::Motor(frame) => link.send(&frame).map_err(RunError::Link)?,
+                Output::Motor(frame) => {
+                    link.send(&frame).map_err(RunError::Link)?;
+                    if let Some(recorder) = recorder {
+                        recorder.agent_said(now, &frame);
+                    }
+                }
                 Output::Publish {
                     direction,
                     topic,
@@ -312,7 +352,7 @@ fn control_loop(
             }
         }
         // A display that holds the lock costs it a frame, never this thread a wait.
-        if stepped && let Some(Ok(mut shown)) = watch.map(Mutex::try_lock) {
+        if stepped && let Some(Ok(mut shown)) = watch.as_deref().map(Mutex::try_lock) {
             shown.mode = Some(agent.mode());
             shown.reason = Some(agent.reason());
             shown.signals = *agent.signals();

@@ -112,6 +112,7 @@ impl Fleet {
                         connect: vec![format!("tcp/{}", relay.address())],
                     },
                     watch: Some(watch.clone()),
+                    recorder: None,
                 },
                 stopped,
             ));
