@@ -5,7 +5,7 @@
 //! Three models share what it finds, for one residual:
 //! - a constant (slope, offset of the centre of mass), and a torque that turns with the shell (its imbalance): an oscillator rotated
 //!   by the shell's own angle;
-//! - a second oscillator at h times that angle. h is found as well, so that the torque may have any frequency;
+//! - a second oscillator at h times that angle. h is searched as well (slowly: near the shell's own rate the two oscillators share a torque);
 //! - the [`remainder`], which has no form: a value with a rate that follows what the others do not explain.
 //!
 //! The oscillators are free of the observer's lag 1/L and know how fast they change: the law needs both. All is said for one step
