@@ -29,7 +29,7 @@ proptest! {
     #[test]
     fn surface_decays_as_the_reaching_law_says(s in states(), r in setpoints(), integral in -0.05..0.05, w in -3.0..3.0) {
         let (model, g) = (model(), gains());
-        let w = Disturbance { torque: w, rate: 0.0, accel: 0.0 };
+        let w = Disturbance { torque: w, ..Disturbance::default() };
         let t = htsmc::law(&model, &g, &s, &r, integral, w);
         prop_assume!(!t.guarded);
         let [beta_accel, q_r_accel] = model.roll_submodel(&s, w.torque).accelerations(t.torque);
@@ -50,7 +50,7 @@ proptest! {
     #[test]
     fn surface_differenced_along_the_motion_decays(s in states(), r in setpoints(), integral in -0.05..0.05, w in -3.0..3.0) {
         let (model, g) = (model(), gains());
-        let w = Disturbance { torque: w, rate: 0.0, accel: 0.0 };
+        let w = Disturbance { torque: w, ..Disturbance::default() };
         let t = htsmc::law(&model, &g, &s, &r, integral, w);
         let [beta_accel, q_r_accel] = model.roll_submodel(&s, w.torque).accelerations(t.torque);
         let surface = |h: f64| {
@@ -80,10 +80,10 @@ proptest! {
 
     /// Left and right are alike: mirrored state, reference and disturbance give exactly the mirrored roll torque and the same pitch torque.
     #[test]
-    fn torque_is_mirror_antisymmetric(s in states(), r in setpoints(), integral in -0.05..0.05, w in -3.0..3.0, w_rate in -5.0..5.0, w_accel in -20.0..20.0) {
+    fn torque_is_mirror_antisymmetric(s in states(), r in setpoints(), integral in -0.05..0.05, w in -3.0..3.0, w_rate in -5.0..5.0, w_accel in -20.0..20.0, share in 0.0..0.5) {
         let (model, g) = (model(), gains());
-        let (mirrored, w) = (mirror(&s), Disturbance { torque: w, rate: w_rate, accel: w_accel });
-        let w_mirrored = Disturbance { torque: -w.torque, rate: -w.rate, accel: -w.accel };
+        let (mirrored, w) = (mirror(&s), Disturbance { torque: w, rate: w_rate, accel: w_accel, inertial: [share * w, share * w_rate, share * w_accel] });
+        let w_mirrored = Disturbance { torque: -w.torque, rate: -w.rate, accel: -w.accel, inertial: w.inertial.map(|part| -part) };
         let left = htsmc::law(&model, &g, &s, &r, integral, w).torque;
         let right = htsmc::law(&model, &g, &mirrored, &mirror_setpoint(&r), -integral, w_mirrored).torque;
         prop_assert_eq!(left, -right);

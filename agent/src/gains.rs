@@ -56,6 +56,14 @@ pub struct HtsmcGains {
     pub observer: f64,
     /// o, bandwidth of its constant and shell-frequency parts [1/s]; 0 switches it off.
     pub oscillator: f64,
+    /// o_h, bandwidth of its oscillator at h times the shell's frequency [1/s]. Default 0, which switches that one off.
+    pub harmonic: f64,
+    /// γ, how fast it finds h [1/s]. Default 0: it stays where it starts.
+    pub harmonic_search: f64,
+    /// λ, bandwidth of its remainder [1/s]. Default 0, which switches that one off.
+    pub remainder: f64,
+    /// ρ, share of the remainder that the law believes [1]. Default 0.
+    pub remainder_share: f64,
 }
 
 /// Gains of the velocity controller, section `[hsmc]`.
@@ -79,6 +87,14 @@ pub struct HsmcGains {
     pub observer: f64,
     /// o, bandwidth of its constant and shell-frequency parts [1/s]; 0 switches it off.
     pub oscillator: f64,
+    /// o_h, bandwidth of its oscillator at h times the shell's frequency [1/s]. Default 0, which switches that one off.
+    pub harmonic: f64,
+    /// γ, how fast it finds h [1/s]. Default 0: it stays where it starts.
+    pub harmonic_search: f64,
+    /// λ, bandwidth of its remainder [1/s]. Default 0, which switches that one off.
+    pub remainder: f64,
+    /// ρ, share of the remainder that the law believes [1]. Default 0.
+    pub remainder_share: f64,
 }
 
 /// Gains that this robot cannot be controlled with.
@@ -210,6 +226,10 @@ impl HtsmcGains {
         w_ref: 0.0,
         observer: 0.0,
         oscillator: 0.0,
+        harmonic: 0.0,
+        harmonic_search: 0.0,
+        remainder: 0.0,
+        remainder_share: 0.0,
     };
 }
 
@@ -260,6 +280,10 @@ impl HsmcGains {
         phi: 0.0,
         observer: 0.0,
         oscillator: 0.0,
+        harmonic: 0.0,
+        harmonic_search: 0.0,
+        remainder: 0.0,
+        remainder_share: 0.0,
     };
 }
 
@@ -328,6 +352,18 @@ const fn gain<T>(
     }
 }
 
+/// A gain ≥ 0 that switches something off where the file does not have it.
+const fn optional<T>(
+    key: &'static str,
+    units: &'static [(&'static str, f64)],
+    at: fn(&mut T) -> &mut f64,
+) -> Field<T> {
+    Field {
+        default: Some(0.0),
+        ..gain(key, units, Range::NonNegative, at)
+    }
+}
+
 const HTSMC: &[Field<HtsmcGains>] = &[
     gain("a", ONE, Range::Positive, |g| &mut g.a),
     gain("b", ONE, Range::Positive, |g| &mut g.b),
@@ -346,6 +382,10 @@ const HTSMC: &[Field<HtsmcGains>] = &[
     gain("oscillator", RATE, Range::NonNegative, |g| {
         &mut g.oscillator
     }),
+    optional("harmonic", RATE, |g| &mut g.harmonic),
+    optional("harmonic_search", RATE, |g| &mut g.harmonic_search),
+    optional("remainder", RATE, |g| &mut g.remainder),
+    optional("remainder_share", ONE, |g| &mut g.remainder_share),
 ];
 
 const HSMC: &[Field<HsmcGains>] = &[
@@ -360,4 +400,8 @@ const HSMC: &[Field<HsmcGains>] = &[
     gain("oscillator", RATE, Range::NonNegative, |g| {
         &mut g.oscillator
     }),
+    optional("harmonic", RATE, |g| &mut g.harmonic),
+    optional("harmonic_search", RATE, |g| &mut g.harmonic_search),
+    optional("remainder", RATE, |g| &mut g.remainder),
+    optional("remainder_share", ONE, |g| &mut g.remainder_share),
 ];

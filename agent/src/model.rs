@@ -209,6 +209,15 @@ impl PlanarInertia {
         }
     }
 
+    /// Square of the zero from torque to shell, G/(c − a) for the righting moment `righting` G [N·m], [1/s²] (E7); 0 if there is none.
+    pub fn zero_squared(&self, righting: f64) -> f64 {
+        if self.c > self.a {
+            righting / (self.c - self.a)
+        } else {
+            0.0
+        }
+    }
+
     fn momentum(&self, pendulum_rate: f64, shell_rate: f64) -> f64 {
         (self.d - self.c) * shell_rate + (self.c - self.a) * pendulum_rate
     }

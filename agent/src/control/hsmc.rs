@@ -98,6 +98,11 @@ impl Hsmc {
         let observer = DisturbanceObserver::new(ObserverGains {
             bandwidth: gains.observer,
             oscillator: gains.oscillator,
+            harmonic: gains.harmonic,
+            harmonic_search: gains.harmonic_search,
+            remainder: gains.remainder,
+            remainder_share: gains.remainder_share,
+            zero_squared: model.pitch_inertia(0.0).zero_squared(model.righting),
             torque_max: OBSERVER_SHARE_MAX * params.torque_max,
         });
         Ok(Self {
@@ -186,7 +191,7 @@ impl Hsmc {
 
 /// The law, a pure function. `integral` is ∫ e_v dt [rad], `w` the disturbance on row φ.
 ///
-/// With e_v = (v − v_d)/R and r = m g l cos β:
+/// With e_v = (v − v_d)/R, r = m g l cos β, and of ŵ in α_d what the pendulum's weight must hold ([`Disturbance::held`]):
 /// sin α_d = (F_r − ŵ + (d_p − c) v̇_d/R)/r, clamped to sin ±0.7 (there the derivatives are zero);
 /// α̇_d = ((d_p − c) v̈_d/R − ŵ̇)/(r cos α_d); α̈_d = (((d_p − c) v⃛_d/R − ŵ̈)/r + sin α_d α̇_d²)/cos α_d;
 /// S₁ = e_v + a₁ ∫e_v; S₂ = α̇ − α̇_d + a₂ (α − α_d); S = A S₁ + B S₂;
@@ -209,14 +214,14 @@ pub fn law(
     let inertia = model.pitch_inertia(state.alpha);
     let carried = (inertia.d - inertia.c) / r;
     let righting = model.righting * state.beta.cos();
-    let needed =
-        (model.rolling_resistance(state.v) - w.torque + carried * setpoint.v_rate) / righting;
+    let [held, held_rate, held_accel] = w.held();
+    let needed = (model.rolling_resistance(state.v) - held + carried * setpoint.v_rate) / righting;
     let alpha_d = needed.clamp(-SIN_ALPHA_MAX, SIN_ALPHA_MAX).asin();
     let (mut alpha_d_rate, mut alpha_d_accel) = (0.0, 0.0);
     if needed.abs() < SIN_ALPHA_MAX {
         let cos = alpha_d.cos();
-        alpha_d_rate = (carried * shape.accel_rate - w.rate) / (righting * cos);
-        alpha_d_accel = ((carried * shape.accel_rate_rate - w.accel) / righting
+        alpha_d_rate = (carried * shape.accel_rate - held_rate) / (righting * cos);
+        alpha_d_accel = ((carried * shape.accel_rate_rate - held_accel) / righting
             + needed * alpha_d_rate * alpha_d_rate)
             / cos;
     }

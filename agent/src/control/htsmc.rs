@@ -86,6 +86,11 @@ impl Htsmc {
         let observer = DisturbanceObserver::new(ObserverGains {
             bandwidth: gains.observer,
             oscillator: gains.oscillator,
+            harmonic: gains.harmonic,
+            harmonic_search: gains.harmonic_search,
+            remainder: gains.remainder,
+            remainder_share: gains.remainder_share,
+            zero_squared: model.roll_inertia(0.0).zero_squared(model.righting),
             torque_max: OBSERVER_SHARE_MAX * params.torque_max,
         });
         Ok(Self {
@@ -223,7 +228,7 @@ pub fn law(
     }
 }
 
-/// The swing that holds the turn, eq (12) as corrected (E9), against the disturbance `w`:
+/// The swing that holds the turn, eq (12) as corrected (E9), against what the pendulum's weight must hold of the disturbance `w` ([`Disturbance::held`]):
 ///
 /// sin β_d = κ tan q_rd − ŵ/G, κ = (M + I_s/R² − m l/R) v²/G, G = m g l cos α, clamped to ±0.8 (there the derivatives are zero);
 /// β̇_d = (κ sec² q_rd q̇_rd − ŵ̇/G)/cos β_d;
@@ -235,10 +240,11 @@ pub fn pendulum_target(
     w: Disturbance,
 ) -> PendulumTarget {
     let righting = model.righting * state.alpha.cos();
+    let [held, held_rate, held_accel] = w.held();
     let kappa = (model.turning_mass - model.turning_mass_pendulum) * state.v * state.v / righting;
     let tan = setpoint.q_r.tan();
     let sec2 = 1.0 + tan * tan;
-    let sin_beta = kappa * tan - w.torque / righting;
+    let sin_beta = kappa * tan - held / righting;
     if sin_beta.abs() >= SIN_BETA_MAX {
         return PendulumTarget {
             angle: SIN_BETA_MAX.copysign(sin_beta).asin(),
@@ -248,12 +254,12 @@ pub fn pendulum_target(
     }
     let angle = sin_beta.asin();
     let cos_beta = angle.cos();
-    let rate = (kappa * sec2 * setpoint.q_r_rate - w.rate / righting) / cos_beta;
+    let rate = (kappa * sec2 * setpoint.q_r_rate - held_rate / righting) / cos_beta;
     let bend = sec2 * setpoint.q_r_accel + 2.0 * sec2 * tan * setpoint.q_r_rate * setpoint.q_r_rate;
     PendulumTarget {
         angle,
         rate,
-        accel: (kappa * bend - w.accel / righting + sin_beta * rate * rate) / cos_beta,
+        accel: (kappa * bend - held_accel / righting + sin_beta * rate * rate) / cos_beta,
     }
 }
 
