@@ -21,6 +21,9 @@ use sphere_protocol::robot::Robot;
 use sphere_protocol::state::{BoardStatus, Measurement};
 use sphere_protocol::time::{AgentClock, Instant as Stamp, Span};
 
+/// Tests of what happens in real time do not share the machine with each other.
+static ALONE: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
+
 const SECOND: Duration = Duration::from_secs(1);
 const START: Stamp<AgentClock> = Stamp::from_nanos(0);
 
@@ -51,6 +54,7 @@ fn wait(limit: Duration, what: &str, mut is_true: impl FnMut() -> bool) -> Durat
 /// LIBRARIES, subscribers: one whose consumer sleeps is flooded; other traffic of its session and the signs of life go on.
 #[test]
 fn flooded_subscriber_does_not_block_its_session() {
+    let _alone = ALONE.blocking_lock();
     let port = free_port();
     let _router = router(port);
     let (flooder, hearer) = (client(port), client(port));
@@ -117,6 +121,7 @@ fn flooded_subscriber_does_not_block_its_session() {
 /// LIBRARIES, subscribers: a session does not hear itself, and others do.
 #[test]
 fn own_messages_are_not_heard() {
+    let _alone = ALONE.blocking_lock();
     let port = free_port();
     let (_router, speaker, other) = (router(port), client(port), client(port));
     let (own, others) = (Inbox::new(8), Inbox::new(8));
@@ -137,6 +142,7 @@ fn own_messages_are_not_heard() {
 /// LIBRARIES, delivery: a frozen peer costs whoever publishes to it no time. Waiting for it would be 5 s, and then the end of the link.
 #[test]
 fn publishing_to_a_frozen_peer_does_not_wait() {
+    let _alone = ALONE.blocking_lock();
     let port = free_port();
     let station = Program::station("frozen-peer", Some(1), port);
     station.says(Instant::now() - SECOND, 5 * SECOND, "station ready");
@@ -170,6 +176,7 @@ fn publishing_to_a_frozen_peer_does_not_wait() {
 /// LIBRARIES, await: opening a session towards a host that accepts and never answers ends in time.
 #[test]
 fn opening_a_session_into_a_black_hole_times_out() {
+    let _alone = ALONE.blocking_lock();
     let hole = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let connect = endpoint(hole.local_addr().expect("bound").port());
     let begin = Instant::now();
@@ -184,6 +191,7 @@ fn opening_a_session_into_a_black_hole_times_out() {
 /// A port that is taken, and a router that is not there, are errors at once that say so.
 #[test]
 fn taken_ports_and_absent_routers_are_errors() {
+    let _alone = ALONE.blocking_lock();
     let port = free_port();
     let _first = router(port);
     let listen = endpoint(port);
@@ -204,6 +212,7 @@ fn taken_ports_and_absent_routers_are_errors() {
 /// LIBRARIES, reconnect: a client hears again within 1 s of its router's return, without declaring anything anew.
 #[test]
 fn client_hears_again_within_a_second_of_its_routers_return() {
+    let _alone = ALONE.blocking_lock();
     let port = free_port();
     let first = router(port);
     let hearer = client(port);
@@ -244,6 +253,7 @@ fn link_pair() -> (UdpLink, UdpSocket, SocketAddr) {
 /// LIBRARIES, MAVLink: a stranger's datagram neither reaches the reader nor redirects the answers.
 #[test]
 fn strangers_datagram_has_no_effect() {
+    let _alone = ALONE.blocking_lock();
     let (link, board, agent) = link_pair();
     let stranger = UdpSocket::bind("127.0.0.1:0").expect("a free port");
     stranger.send_to(b"stranger", agent).expect("loopback");
@@ -298,6 +308,7 @@ fn at_rest(ms: i64) -> Measurement {
 /// LIBRARIES, MAVLink: a datagram is a unit. Seven stray bytes that look like the beginning of a frame cost no frame behind them.
 #[test]
 fn stray_bytes_stall_no_frame() {
+    let _alone = ALONE.blocking_lock();
     let (link, board, address) = link_pair();
     let (mut agent, mut writer) = (agent(), FrameWriter::new(BOARD));
     let mut buffer = [0; 2048];
@@ -332,6 +343,7 @@ fn stray_bytes_stall_no_frame() {
 /// LIBRARIES, MAVLink: what a disarmed agent says of itself says not armed, in its very bytes.
 #[test]
 fn disarmed_agents_heartbeat_says_not_armed() {
+    let _alone = ALONE.blocking_lock();
     let mut agent = agent();
     agent.handle_input(START, Input::Timeout);
     let mut reader = FrameReader::new(Framing::Datagrams, BOARD, Some(AGENT.system));
@@ -357,6 +369,7 @@ fn disarmed_agents_heartbeat_says_not_armed() {
 /// LIBRARIES, MAVLink: NaN passes the parser. A sensor frame with one is counted, and no torque follows from it.
 #[test]
 fn sensor_frame_that_is_not_finite_is_counted_and_moves_nothing() {
+    let _alone = ALONE.blocking_lock();
     let (mut agent, mut writer) = (agent(), FrameWriter::new(BOARD));
     let good = writer.sensors(&at_rest(0), 0).expect("finite").to_vec();
     let mut poisoned = 0;

@@ -231,10 +231,12 @@ fn golden_gains_and_parameters_are_those_of_liu() {
         if !path.ends_with("model.json") {
             continue;
         }
-        // Two have been tuned since.
+        // Four have been tuned since, and the observer has parts that the vectors do not know.
         assert_eq!(
             HtsmcGains {
+                a: 5.2,
                 a2: 6.5,
+                k_i: 0.3,
                 w_ref: 10.0,
                 ..HtsmcGains::read(&liu).expect("valid")
             },

@@ -16,6 +16,9 @@ use sphere_sim::network::LinkModel;
 use sphere_sim::plants_command::row_of_robots;
 use sphere_sim::relay::{Direction, Relay};
 
+/// Tests of what happens in real time do not share the machine with each other.
+static ALONE: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
+
 const LOOPBACK: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
 // --- plants -------------------------------------------------------------------------------------------------------------------
@@ -23,6 +26,7 @@ const LOOPBACK: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCA
 /// Time of the plants is that of the machine, sensor frames come at 200 Hz, and nobody but the pinned agent is heard.
 #[test]
 fn plants_keep_real_time_and_send_200_frames_a_second() {
+    let _alone = ALONE.blocking_lock();
     let scenario = row_of_robots(3, 1).expect("three robots");
     let (agent, board) = link_pair().expect("free ports");
     let mut setups = vec![plant_setup(&scenario, 0, board)];
@@ -49,6 +53,7 @@ fn plants_keep_real_time_and_send_200_frames_a_second() {
 /// A link that waits for a time waits for that time: a socket's own time limit would be rounded up to the kernel's tick.
 #[test]
 fn the_motor_link_waits_no_longer_than_it_is_told() {
+    let _alone = ALONE.blocking_lock();
     let (agent, _board) = link_pair().expect("free ports");
     let mut buffer = [0; 16];
     let mut waits: Vec<Duration> = (0..200)
@@ -137,6 +142,7 @@ fn mean_and_deviation(samples: &[f64]) -> (f64, f64) {
 /// On the wire: 50 ± 5 ms, far enough apart that none waits for the one ahead.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_relay_delays_as_its_model_says() {
+    let _alone = ALONE.lock().await;
     let model = LinkModel {
         delay: 0.05,
         jitter: 0.005,
@@ -159,6 +165,7 @@ async fn the_relay_delays_as_its_model_says() {
 /// 10 % of the segments are late by a retransmission timeout, order is kept, and nothing is lost.
 #[tokio::test(flavor = "multi_thread")]
 async fn loss_on_tcp_is_lateness() {
+    let _alone = ALONE.lock().await;
     let model = LinkModel {
         delay: 0.01,
         jitter: 0.0,
@@ -187,6 +194,7 @@ async fn loss_on_tcp_is_lateness() {
 /// Cut, nothing comes; healed, everything does, in order.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cut_holds_everything_back_and_loses_nothing() {
+    let _alone = ALONE.lock().await;
     let model = LinkModel {
         delay: 0.01,
         jitter: 0.0,
@@ -215,6 +223,7 @@ async fn a_cut_holds_everything_back_and_loses_nothing() {
 /// Promise: cutting one link puts that robot into holding within its plan's validity, and leaves the others alone.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cut_link_stops_its_robot_alone() {
+    let _alone = ALONE.lock().await;
     let cut: Cut = "r1@12+7".parse().expect("a cut");
     let mut scenario = demo::scenario(3, 24.0).expect("the demo's scenario");
     // Stalls of a lossy link can stop a robot as well: here the cut alone may.
@@ -261,6 +270,7 @@ async fn a_cut_link_stops_its_robot_alone() {
 /// The first thing that a stranger runs, twice at the same time: both succeed, the second on another port.
 #[test]
 fn two_demos_run_side_by_side() {
+    let _alone = ALONE.blocking_lock();
     let folders = [out("demo-first"), out("demo-second")];
     let mut demos = Vec::new();
     for folder in &folders {
@@ -315,6 +325,7 @@ fn two_demos_run_side_by_side() {
 #[cfg(unix)]
 #[test]
 fn an_interrupted_demo_ends_cleanly() {
+    let _alone = ALONE.blocking_lock();
     let folder = out("demo-interrupted");
     let demo = start_demo(&folder, "60");
     std::thread::sleep(Duration::from_secs(8));
@@ -339,6 +350,7 @@ fn an_interrupted_demo_ends_cleanly() {
 /// A cut that is none, and one for nobody, are refused with a remedy.
 #[test]
 fn cuts_are_checked() {
+    let _alone = ALONE.blocking_lock();
     for (cut, expected) in [("r1@3", "r2@30+5"), ("r9@3+1", "there are r1, r2, r3")] {
         let output = Command::new(env!("CARGO_BIN_EXE_sphere-sim"))
             .args(["demo", "--cut", cut, "--out"])

@@ -82,6 +82,9 @@ struct RobustnessArgs {
     /// Seeds a case: 1 to this; ten times as many where the robot itself is drawn
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     seeds: u64,
+    /// Run the cases whose name contains this alone; may be repeated
+    #[arg(long, value_name = "PART")]
+    only: Vec<String>,
     /// Print robustness.json, and nothing else, on standard output
     #[arg(long)]
     json: bool,
@@ -292,7 +295,21 @@ fn run_robustness(args: &RobustnessArgs) -> anyhow::Result<Outcome> {
         format!("cannot write {folder}; choose another folder with --out")
     };
     std::fs::create_dir_all(&args.out).with_context(cannot_write)?;
-    let cases = robustness::cases();
+    let chosen = |case: &robustness::Case| {
+        args.only.is_empty()
+            || args
+                .only
+                .iter()
+                .any(|part| case.name.contains(part.as_str()))
+    };
+    let cases: Vec<_> = robustness::cases().into_iter().filter(chosen).collect();
+    if cases.is_empty() {
+        let known: Vec<_> = robustness::cases().iter().map(|case| case.name).collect();
+        anyhow::bail!(
+            "--only: no case has such a name: there are {}",
+            known.join("; ")
+        );
+    }
     let bar = paper::progress(robustness::runs(&cases, args.seeds));
     let lines = robustness::run_all(&cases, args.seeds, ensemble::every_core(), |done| {
         bar.set_position(done as u64);
