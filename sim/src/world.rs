@@ -35,6 +35,7 @@ use crate::scenario::{self, FaultKind, RobotSetup, Scenario};
 use crate::sensor::Sensors;
 use crate::trace::{Command, ROW_PERIOD, Row, Trace};
 use process::{Process, Waiting};
+#[cfg(feature = "io")]
 pub(crate) use setup::{
     agent_config, body_setup, drawn_clocks, link_model, reference, station_config,
 };
@@ -637,8 +638,7 @@ impl World {
                 self.restart_station(now);
             }
             FaultKind::StationFreeze if matches!(self.station_process, Process::Frozen(_)) => {
-                let (_, messages) = self.station_process.resume();
-                for (key, bytes) in messages {
+                for (key, bytes) in self.station_process.resume().messages {
                     let key = String::from_utf8_lossy(&key);
                     let (key, bytes) = (&*key, &*bytes);
                     self.station_input(now, StationInput::Message { key, bytes });
@@ -714,7 +714,7 @@ impl World {
     }
 
     fn wake_agent(&mut self, now: WorldTime, robot: usize) {
-        let (frames, messages) = self.robots[robot].process.resume();
+        let Waiting { frames, messages } = self.robots[robot].process.resume();
         for frame in frames {
             self.agent_input(now, robot, AgentInput::Motor(&frame));
         }

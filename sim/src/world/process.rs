@@ -17,8 +17,10 @@ pub(super) enum Process {
 /// What waits for a frozen program.
 #[derive(Debug, Default)]
 pub(super) struct Waiting {
-    frames: VecDeque<Vec<u8>>,
-    messages: VecDeque<(Vec<u8>, Vec<u8>)>,
+    /// Datagrams of the motor link.
+    pub(super) frames: VecDeque<Vec<u8>>,
+    /// Messages, each with its key.
+    pub(super) messages: VecDeque<(Vec<u8>, Vec<u8>)>,
 }
 
 impl Process {
@@ -46,10 +48,10 @@ impl Process {
     }
 
     /// It goes on: what has waited for it, oldest first.
-    pub(super) fn resume(&mut self) -> (VecDeque<Vec<u8>>, VecDeque<(Vec<u8>, Vec<u8>)>) {
+    pub(super) fn resume(&mut self) -> Waiting {
         match std::mem::take(self) {
-            Self::Frozen(waiting) => (waiting.frames, waiting.messages),
-            Self::Running | Self::Down => Default::default(),
+            Self::Frozen(waiting) => waiting,
+            Self::Running | Self::Down => Waiting::default(),
         }
     }
 }
