@@ -136,7 +136,7 @@ fn write_cell(svg: &mut String, x: f64, y: f64, line: &Line) {
     };
     let words = match (line.rmse_steady_deg, line.stood == line.runs) {
         (Some(rmse), true) => format!("{rmse:.2}"),
-        (Some(rmse), false) => format!("{rmse:.1} · {:.0} %", 100.0 * share),
+        (Some(rmse), false) => format!("{rmse:.1} · {:.0} %", (100.0 * share).floor()),
         (None, _) => "fell".to_owned(),
     };
     writeln!(
