@@ -603,7 +603,7 @@ fn mhh_halves_the_heading_and_lean_errors_of_mhf_in_calibrated() {
 
 #[test]
 fn mhh_halves_the_lean_error_of_mhf_in_real_and_improves_the_heading() {
-    // Meant for the heading too: a half. Measured: 0.67 to 0.75. Where little disturbs, most of the 0.16 to 0.2° comes from planning on noisy
+    // Meant for the heading too: a half. Measured: 0.71 to 0.80. Where little disturbs, most of the 0.16 to 0.2° comes from planning on noisy
     // estimates, whoever steers.
     mhh_turns_better_than_mhf(&FEW, Environment::Real, 0.9);
 }
