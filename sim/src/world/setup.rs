@@ -61,7 +61,7 @@ pub(super) fn impairments(
             }),
         },
         duplicate: link.duplicate,
-        bottleneck: (link.bandwidth_kbps > 0.0).then(|| Bottleneck {
+        bottleneck: (link.bandwidth_kbps > 0.0).then_some(Bottleneck {
             rate: 1e3 * link.bandwidth_kbps,
             queue: 1e-3 * link.queue_ms,
         }),
