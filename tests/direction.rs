@@ -303,7 +303,7 @@ fn values_that_are_no_number_are_refused() {
 #[test]
 fn robot_file_with_gains_that_fall_over_is_refused_by_name() {
     let text = include_str!("../protocol/robots/liu.toml");
-    let steep = text.replace("a = { value = 5.2,", "a = { value = 9.5,");
+    let steep = text.replace("a = { value = 4.9,", "a = { value = 9.5,");
     let robot = Robot::parse("steep", &steep).expect("reads");
     let error = DirectionChoice::Htsmc.build(&robot).err().expect("refused");
     assert!(matches!(error, GainsError::Refused { .. }));

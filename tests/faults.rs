@@ -178,12 +178,16 @@ fn nuisances_do_not_interrupt() {
 /// No clock is synchronised, and none needs to be exact.
 #[test]
 fn drifting_clocks_change_the_error_by_less_than_2_percent() {
-    let settled = |run: &Run, robot| rmse(run, robot, 15.0, 50.0);
-    let exact = drive(&[]);
+    // Another clock samples at other instants: a single run differs by 3 % from its twin, the mean of several by less.
+    let settled = |sets: &[&str]| -> f64 {
+        let seeds = ["seed=1", "seed=2", "seed=3", "seed=4", "seed=5", "seed=6"];
+        let runs = seeds.map(|seed| drive(&[sets, &[seed]].concat()));
+        runs.iter().map(|run| rmse(run, "r1", 15.0, 50.0)).sum()
+    };
+    let exact = settled(&[]);
     for ppm in ["200", "-200"] {
         let set = format!("robots.0.clock_drift_ppm={ppm}");
-        let run = drive(&[&set, "robots.0.clock_offset_s=-1000"]);
-        let change = settled(&run, "r1") / settled(&exact, "r1") - 1.0;
+        let change = settled(&[&set, "robots.0.clock_offset_s=-1000"]) / exact - 1.0;
         println!("{ppm} ppm: {:+.2} %", 100.0 * change);
         assert!(change.abs() < 0.02, "{ppm} ppm: {change}");
     }

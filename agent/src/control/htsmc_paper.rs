@@ -1,7 +1,7 @@
 //! Direction controller as the paper prints it, eqs (8)-(17), to compare with: no observer, no integral, no boundary layer.
 //!
 //! Only what it cannot run without is corrected:
-//! - E1: the mass matrix is symmetric. With the printed 0 in its lower left and the gains of the robot `liu` (A/B = 5.2, which
+//! - E1: the mass matrix is symmetric. With the printed 0 in its lower left and A/B = 5.2 (which
 //!   the printed condition A > B > 0 allows) a step of 10°, filtered at 10 rad/s, overshoots by 8°, rings for 14 s at 0.5 m/s and
 //!   ends in a limit cycle of ±8.7° at 1.0 m/s. With A/B = 4 it stands, after 7° of overshoot and up to 10 s.
 //! - E5, E6: signed powers, regular at zero ([`sig`]): the printed ones are NaN for every e ≤ 0, the first step included.
