@@ -81,7 +81,8 @@ fn observer_is_bounded_and_recovers() {
 
 /// A roll step to 10° with the whole agent, estimator in the loop, in the environment `calibrated`: steady error, medians of 5 seeds.
 /// With the constant and the shell-locked part alone: 0.21, 2.2, 2.6, 2.7, 0.42, 0.61° at 0.5 m/s and 0.23, 2.3, 2.6, 2.2° at 1.0.
-/// At 1.5 times the shell's rate the torque is learnt in part only, hence the wider bounds.
+/// At 1.5 times the shell's rate the torque is learnt in part only, and what the integral gives on slopes it takes under sticking joints and
+/// random torque (0.36 and 0.63° with k_i 0.3): hence the wider bounds.
 #[test]
 fn steady_roll_holds_under_disturbances_of_other_forms() {
     let mut broken = Vec::new();
@@ -90,8 +91,8 @@ fn steady_roll_holds_under_disturbances_of_other_forms() {
         ("0.5", "imbalance_harmonic=1.5", 0.6),
         ("0.5", "imbalance_harmonic=2", BOUND),
         ("0.5", "imbalance_harmonic=2.6", 0.4),
-        ("0.5", "stiction_nm=1.0", 0.4),
-        ("0.5", "random_nm=0.5", 0.7),
+        ("0.5", "stiction_nm=1.0", 0.5),
+        ("0.5", "random_nm=0.5", 0.75),
         ("1.0", "imbalance_harmonic=1", BOUND),
         ("1.0", "imbalance_harmonic=1.5", 0.5),
         ("1.0", "imbalance_harmonic=2", 0.4),

@@ -415,10 +415,17 @@ struct Shown {
 
 static FEW: LazyLock<Shown> = LazyLock::new(|| Shown::of(3));
 static MANY: LazyLock<Shown> = LazyLock::new(|| Shown::of(20));
+/// When a step has settled under imbalance hangs on where the shell happens to stand: three seeds say little.
+static STEPS: LazyLock<Shown> =
+    LazyLock::new(|| Shown::in_experiments(&[Experiment::RollStep], 20));
 
 impl Shown {
     fn of(seeds: u64) -> Self {
-        let results = paper::run(&Experiment::ALL, seeds, ensemble::every_core(), |_| {});
+        Self::in_experiments(&Experiment::ALL, seeds)
+    }
+
+    fn in_experiments(experiments: &[Experiment], seeds: u64) -> Self {
+        let results = paper::run(experiments, seeds, ensemble::every_core(), |_| {});
         Self {
             results: results.expect("every case runs"),
         }
@@ -578,7 +585,7 @@ fn mhh_turns_better_than_mhf(shown: &Shown, environment: Environment, heading_sh
 
 #[test]
 fn calibrated_steps_of_htsmc_are_quick_and_steady() {
-    steps_are_quick_and_steady(&FEW);
+    steps_are_quick_and_steady(&STEPS);
 }
 
 #[test]
