@@ -133,7 +133,7 @@ fn impossible_values_are_refused() {
 #[test]
 fn gains_that_diverge_are_refused_with_the_numbers() {
     let robot =
-        edited("a = { value = 5.2", "a = { value = 9.5").expect("the file itself is well formed");
+        edited("a = { value = 4.9", "a = { value = 9.5").expect("the file itself is well formed");
     let model = NominalModel::new(&robot.params);
     let refused = HtsmcGains::read(&robot)
         .expect("gains are there")
