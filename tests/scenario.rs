@@ -306,6 +306,10 @@ fn every_refusal_of_a_robot_names_it_by_its_index() {
             "demo.toml:3: robots.0.plant.scale.l = 3.0: l = 0.51 m: the pendulum must hang inside the sphere, r = 0.35 m",
         ),
         (
+            "disturbance = { patches = [ { min_m = [3, 0], max_m = [1, 2], c_rr = 0.03 } ] }",
+            "demo.toml:3: robots.0.disturbance.patches.0 = { c_rr = 0.03, ... }: no robot is ever on it: max_m must be greater than min_m in x and in y",
+        ),
+        (
             "disturbance = { pushes = [ { at_s = 20.0, roll_nm = 5.0, for_s = -0.2 } ] }",
             "demo.toml:3: robots.0.disturbance.pushes.0.for_s = -0.2: it must be greater than 0 and finite",
         ),
@@ -490,6 +494,13 @@ proptest! {
         offset in -1e6..1e6f64,
         scale in 0.5..1.5f64,
         environment in prop::sample::select(vec!["ideal", "real", "calibrated"]),
+        mission in prop::sample::select(vec![
+            "{kind='lemniscate'}",
+            "{kind='roll',speed_mps=0.5,angles_deg=[0.0,10.0],hold_s=2.5}",
+            "{kind='roll-sine',speed_mps=1.0,amplitude_deg=5.0,rate_radps=0.15,phase_rad=-0.015}",
+        ]),
+        slope in -5.0..5.0f64,
+        harmonic in 0.5..3.0f64,
     ) {
         let text = format!("environment = \"{environment}\"\n{MINIMAL}");
         let scenario = read(&text, &[
@@ -500,6 +511,12 @@ proptest! {
             &format!("robots.0.start.heading_deg={heading_deg:?}"),
             &format!("robots.0.clock_offset_s={offset:?}"),
             &format!("robots.0.plant.scale.m={scale:?}"),
+            &format!("robots.0.mission={mission}"),
+            &format!("robots.0.disturbance.slope_deg=[{slope:?}, 0.5]"),
+            &format!("robots.0.disturbance.imbalance_harmonic={harmonic:?}"),
+            "robots.0.disturbance.patches=[{min_m=[1.0,-2.0],max_m=[3.0,2.0],c_rr=0.03}]",
+            "network.down.distribution='log-normal'",
+            "faults=[{kind='station-freeze',at_s=1.0,for_s=2.0}]",
         ]);
         prop_assert_eq!(read(&scenario.drawn(), &[]), scenario);
     }

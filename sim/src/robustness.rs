@@ -10,16 +10,15 @@ mod map;
 use std::num::NonZero;
 
 use serde::Serialize;
-use sphere_agent::gains::GainsError;
 use sphere_protocol::message::Mode;
 use sphere_protocol::robot::Robot;
-use thiserror::Error;
 
 use crate::ensemble;
 use crate::indicators::{bounds, quantile, root_mean_square, values, variation_rate};
 use crate::metrics::{roll_error, samples};
+use crate::paper::CaseError;
 use crate::run::run;
-use crate::scenario::{Scenario, ScenarioError};
+use crate::scenario::Scenario;
 use crate::trace::Row;
 
 pub use case::{Case, all as cases};
@@ -79,17 +78,6 @@ pub struct Line {
     pub bound_deg: Option<f64>,
     /// Median of the commanded roll torque's variation in the steady state [N·m/s].
     pub torque_variation_nm_per_s: Option<f64>,
-}
-
-/// Why a case could not be run.
-#[derive(Debug, Error)]
-pub enum CaseError {
-    /// The simulator refuses the scenario.
-    #[error(transparent)]
-    Scenario(#[from] ScenarioError),
-    /// Gains that cannot be stable.
-    #[error(transparent)]
-    Gains(#[from] GainsError),
 }
 
 impl Law {

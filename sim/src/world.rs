@@ -4,23 +4,20 @@
 //! between board and agent, CBOR messages between agent and station. Events are ordered by time and, at the same time, by the
 //! order in which they were caused; every random number comes from a stream named after its robot and purpose.
 
+mod faults;
 mod process;
 mod setup;
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap, VecDeque};
+use std::collections::{BTreeMap, BinaryHeap};
 
-use rand::RngExt;
-use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardUniform};
 use sphere_agent::agent::{Agent, Event as AgentEvent, Input as AgentInput, Output as AgentOutput};
-use sphere_agent::estimator::StartPose;
 use sphere_agent::gains::GainsError;
 use sphere_ground::session::Counters;
 use sphere_ground::station::{
     Event as StationEvent, Input as StationInput, Output as StationOutput, Station,
 };
-use sphere_ground::tasking::StartCondition;
 use sphere_ground::trajectory::Trajectory;
 use sphere_protocol::key::Key;
 use sphere_protocol::message::{Message, PlanId, SetpointPlan};
@@ -31,10 +28,11 @@ use crate::body::{BOARD_HEARTBEAT, Body, BodyRandom, Purpose, stream};
 use crate::clock::SimClock;
 use crate::metrics::{RobotRecord, RollStep, SolverCounts};
 use crate::network::{Link, LinkRandom};
-use crate::scenario::{self, FaultKind, RobotSetup, Scenario};
+use crate::scenario::{self, RobotSetup, Scenario};
 use crate::sensor::Sensors;
 use crate::trace::{Command, ROW_PERIOD, Row, Trace};
-use process::{Process, Waiting};
+use faults::LinkFaults;
+use process::Process;
 #[cfg(feature = "io")]
 pub(crate) use setup::{
     agent_config, body_setup, drawn_clocks, link_model, reference, station_config,
@@ -122,18 +120,6 @@ struct SimRobot {
     loop_delays: Vec<Span>,
 }
 
-/// Faults of one robot's link that a scenario has begun and not ended.
-struct LinkFaults {
-    /// Packets handed over now arrive no sooner.
-    stale_until: Option<WorldTime>,
-    /// Plans leave the station later by this.
-    slow_planner: Span,
-    /// Packets to send again, with where they went; empty unless the scenario replays some.
-    recorded: VecDeque<(Inject, Vec<u8>, Vec<u8>)>,
-    records: bool,
-    random: ChaCha8Rng,
-}
-
 struct Entry {
     at: WorldTime,
     order: u64,
@@ -192,12 +178,6 @@ const MOTOR_LINK: Span = Span::from_millis(1);
 const CONTROL_TIME: Span = Span::from_nanos(500_000);
 /// A plan takes some 20 µs; this leaves room for a station that plans for many.
 const PLANNING_TIME: Span = Span::from_millis(2);
-/// How much longer it takes while a scenario slows the planner: six of its periods.
-const SLOW_PLANNING: Span = Span::from_millis(600);
-/// Time between two packets that are sent again while a scenario replays them.
-const REPLAY_PERIOD: Span = Span::from_millis(50);
-/// Packets kept to be sent again: some 10 s of a robot's.
-const RECORDED_MAX: usize = 512;
 /// Origins of the clocks that nobody asked for are drawn up to this far apart [s].
 const CLOCK_SPREAD: f64 = 1000.0;
 
@@ -445,7 +425,7 @@ impl World {
                     for delay in cell.up.transmit(now, bytes.len()) {
                         let (key, bytes) = (key.clone(), bytes.to_vec());
                         let arrival = now + CONTROL_TIME + delay;
-                        let arrival = self.robots[robot].link_faults.held(arrival);
+                        let arrival = self.robots[robot].link_faults.held(now, arrival);
                         self.schedule(arrival, Happening::ToStation { key, bytes });
                     }
                 }
@@ -488,13 +468,13 @@ impl World {
                     let cell = &mut self.robots[robot];
                     let mut leaves = now + PLANNING_TIME;
                     if key.ends_with(SetpointPlan::TOPIC) {
-                        leaves = leaves + cell.link_faults.slow_planner;
+                        leaves = leaves + cell.link_faults.planning_delay(now);
                     }
                     let key = key.as_bytes().to_vec();
                     cell.link_faults.record(Inject::Agent(robot), &key, &bytes);
                     for delay in cell.down.transmit(now, bytes.len()) {
                         let (key, bytes) = (key.clone(), bytes.to_vec());
-                        let arrival = self.robots[robot].link_faults.held(leaves + delay);
+                        let arrival = self.robots[robot].link_faults.held(now, leaves + delay);
                         self.schedule(arrival, Happening::ToAgent { robot, key, bytes });
                     }
                 }
@@ -592,164 +572,6 @@ impl World {
             .collect()
     }
 
-    fn fault_begins(&mut self, now: WorldTime, index: usize) {
-        let fault = &self.scenario.faults[index];
-        let end = Span::from_secs_f64(fault.at_s) + Span::from_secs_f64(fault.for_s);
-        let kind = fault.kind;
-        match kind {
-            FaultKind::StationCrash if self.station_process.is_running() => {
-                self.station_process = Process::Down;
-                for (id, session) in self.station.sessions() {
-                    let earlier = self.earlier_plans.entry(*id).or_default();
-                    *earlier = sum(*earlier, *session.counters());
-                }
-            }
-            FaultKind::StationFreeze if self.station_process.is_running() => {
-                self.station_process = Process::Frozen(Waiting::default());
-            }
-            FaultKind::StationCrash | FaultKind::StationFreeze => {}
-            FaultKind::Replay => self.schedule(now, Happening::Replay { fault: index }),
-            FaultKind::AgentCrash
-            | FaultKind::Freeze
-            | FaultKind::Stale
-            | FaultKind::SlowPlanner => {
-                for cell in &mut self.robots {
-                    if !concerns(fault, &cell.id) {
-                        continue;
-                    }
-                    match kind {
-                        FaultKind::AgentCrash => cell.process = Process::Down,
-                        FaultKind::Freeze if cell.process.is_running() => {
-                            cell.process = Process::Frozen(Waiting::default());
-                        }
-                        FaultKind::Stale => cell.link_faults.stale_until = Some(end),
-                        FaultKind::SlowPlanner => cell.link_faults.slow_planner = SLOW_PLANNING,
-                        _ => {}
-                    }
-                }
-            }
-        }
-    }
-
-    fn fault_ends(&mut self, now: WorldTime, index: usize) {
-        let fault = self.scenario.faults[index].clone();
-        match fault.kind {
-            FaultKind::StationCrash if matches!(self.station_process, Process::Down) => {
-                self.restart_station(now);
-            }
-            FaultKind::StationFreeze if matches!(self.station_process, Process::Frozen(_)) => {
-                for (key, bytes) in self.station_process.resume().messages {
-                    let key = String::from_utf8_lossy(&key);
-                    let (key, bytes) = (&*key, &*bytes);
-                    self.station_input(now, StationInput::Message { key, bytes });
-                }
-                self.station_due = now;
-                self.station_input(now, StationInput::Timeout);
-            }
-            FaultKind::StationCrash | FaultKind::StationFreeze | FaultKind::Replay => {}
-            kind => {
-                for robot in 0..self.robots.len() {
-                    let cell = &mut self.robots[robot];
-                    if !concerns(&fault, &cell.id) {
-                        continue;
-                    }
-                    match kind {
-                        FaultKind::AgentCrash if matches!(cell.process, Process::Down) => {
-                            self.restart_agent(now, robot);
-                        }
-                        FaultKind::Freeze if matches!(cell.process, Process::Frozen(_)) => {
-                            self.wake_agent(now, robot);
-                        }
-                        FaultKind::Stale => cell.link_faults.stale_until = None,
-                        FaultKind::SlowPlanner => cell.link_faults.slow_planner = Span::ZERO,
-                        _ => {}
-                    }
-                }
-            }
-        }
-    }
-
-    /// Another station takes the place of the one that is gone. As one that keeps a journal it knows when each mission began.
-    fn restart_station(&mut self, now: WorldTime) {
-        self.station_lives += 1;
-        let mut config = setup::station_config(&self.scenario, self.station_id);
-        config.station += self.station_lives;
-        for robot in &mut config.robots {
-            let cell = self.robots.iter().find(|cell| cell.id == robot.id);
-            if let Some((_, begin)) = cell.and_then(|cell| cell.mission.as_ref()) {
-                let began = Instant::from_nanos(begin.as_nanos()) + self.station_clock;
-                robot.start = StartCondition::At(began);
-            }
-        }
-        let station_now = Instant::from_nanos(now.as_nanos()) + self.station_clock;
-        self.station = Station::new(config, station_now);
-        self.station_process = Process::Running;
-        self.station_due = now;
-        self.schedule(now, Happening::StationTimeout);
-    }
-
-    /// The agent starts anew: another boot, and where it is it does not know.
-    fn restart_agent(&mut self, now: WorldTime, robot: usize) {
-        let cell = &mut self.robots[robot];
-        cell.lives += 1;
-        cell.earlier_adopted += cell.agent.playback().begun();
-        let (boot_id, _) = setup::drawn_clocks(self.scenario.seed, robot);
-        let mut config = setup::agent_config(
-            &self.scenario.robots[robot],
-            boot_id + u64::from(cell.lives),
-        );
-        config.estimator.start = StartPose {
-            position_sigma: LOST_POSITION,
-            heading_sigma: core::f64::consts::PI,
-            ..config.estimator.start
-        };
-        // The gains are those of the life before: they were accepted.
-        if let Ok(agent) = Agent::new(cell.agent_now(now), config) {
-            cell.agent = agent;
-            cell.process = Process::Running;
-            cell.newest_plan = None;
-            cell.agent_due = now;
-            self.schedule(now, Happening::AgentTimeout { robot });
-        }
-    }
-
-    fn wake_agent(&mut self, now: WorldTime, robot: usize) {
-        let Waiting { frames, messages } = self.robots[robot].process.resume();
-        for frame in frames {
-            self.agent_input(now, robot, AgentInput::Motor(&frame));
-        }
-        for (key, bytes) in messages {
-            let key = String::from_utf8_lossy(&key);
-            let (key, bytes) = (&*key, &*bytes);
-            self.agent_input(now, robot, AgentInput::Message { key, bytes });
-        }
-        self.robots[robot].agent_due = now;
-        self.schedule(now, Happening::AgentTimeout { robot });
-    }
-
-    /// Sends one packet again for each robot concerned, drawn from what it sent or was sent.
-    fn replay(&mut self, now: WorldTime, index: usize) {
-        let fault = self.scenario.faults[index].clone();
-        for robot in 0..self.robots.len() {
-            let cell = &mut self.robots[robot];
-            let faults = &mut cell.link_faults;
-            if !concerns(&fault, &cell.id) || faults.recorded.is_empty() {
-                continue;
-            }
-            let drawn = faults.random.random_range(0..faults.recorded.len());
-            let (to, key, bytes) = faults.recorded[drawn].clone();
-            let happening = match to {
-                Inject::Station => Happening::ToStation { key, bytes },
-                _ => Happening::ToAgent { robot, key, bytes },
-            };
-            self.schedule(now, happening);
-        }
-        let next = now + REPLAY_PERIOD;
-        if next.as_secs_f64() < fault.at_s + fault.for_s {
-            self.schedule(next, Happening::Replay { fault: index });
-        }
-    }
-
     fn report(&mut self, now: WorldTime, robot: RobotId, what: Reported) {
         self.reports.push(Report {
             t_s: now.as_secs_f64(),
@@ -780,8 +602,6 @@ impl SimRobot {
             setup.clock_drift_ppm,
         );
         let config = setup::agent_config(setup, boot_id);
-        let replays =
-            |fault: &scenario::Fault| fault.kind == FaultKind::Replay && concerns(fault, &setup.id);
         let random = |purpose| stream(scenario.seed, index, purpose);
         let link = |model: &scenario::Link, packets, twins, weather| {
             let random = LinkRandom {
@@ -809,13 +629,7 @@ impl SimRobot {
             lives: 0,
             earlier_adopted: 0,
             agent_due: Span::ZERO,
-            link_faults: LinkFaults {
-                stale_until: None,
-                slow_planner: Span::ZERO,
-                recorded: VecDeque::new(),
-                records: scenario.faults.iter().any(replays),
-                random: random(Purpose::Replay),
-            },
+            link_faults: LinkFaults::new(scenario, &setup.id, random(Purpose::Replay)),
             up: link(
                 &network.up,
                 Purpose::LinkUp,
@@ -848,22 +662,6 @@ impl SimRobot {
     }
 }
 
-impl LinkFaults {
-    fn record(&mut self, to: Inject, key: &[u8], bytes: &[u8]) {
-        if self.records {
-            if self.recorded.len() == RECORDED_MAX {
-                self.recorded.pop_front();
-            }
-            self.recorded.push_back((to, key.to_vec(), bytes.to_vec()));
-        }
-    }
-
-    /// When what would arrive at `arrival` does.
-    fn held(&self, arrival: WorldTime) -> WorldTime {
-        self.stale_until.map_or(arrival, |until| arrival.max(until))
-    }
-}
-
 /// Where outside bytes enter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Inject {
@@ -875,11 +673,6 @@ pub enum Inject {
     MotorLink(usize),
     /// A robot's motor link, towards the board.
     Board(usize),
-}
-
-/// Whether `fault` befalls `robot`: an empty list is everybody.
-fn concerns(fault: &scenario::Fault, robot: &RobotId) -> bool {
-    fault.robots.is_empty() || fault.robots.contains(robot)
 }
 
 /// Plans of two stations, one after the other.
@@ -895,9 +688,6 @@ fn sum(a: Counters, b: Counters) -> Counters {
         dropped: core::array::from_fn(|i| a.dropped[i] + b.dropped[i]),
     }
 }
-
-/// Standard deviation of a position of which an agent that has started anew knows nothing [m].
-const LOST_POSITION: f64 = 100.0;
 
 const STATION: usize = usize::MAX / 32;
 

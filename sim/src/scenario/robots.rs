@@ -209,11 +209,16 @@ fn disturbance(table: &Table<'_>, environment: Environment) -> Read<Disturbance>
     let mut patches = Vec::new();
     for (node, path) in table.list("patches")? {
         let patch = Table::open(node, &path, &["min_m", "max_m", "c_rr"])?;
-        patches.push(Patch {
+        let read = Patch {
             min_m: pair(&patch, "min_m", POSITION, None)?,
             max_m: pair(&patch, "max_m", POSITION, None)?,
             c_rr: patch.required_number("c_rr", Range::within(0.0, 1.0), "c_rr = 0.03")?,
-        });
+        };
+        if (0..2).any(|axis| read.max_m[axis] <= read.min_m[axis]) {
+            let why = "no robot is ever on it: max_m must be greater than min_m in x and in y";
+            return Err(refused(node, &path, why.to_owned()));
+        }
+        patches.push(read);
     }
     let positive = Range::within(0.0, 1e4);
     Ok(Disturbance {
