@@ -5,6 +5,8 @@
 mod mission;
 mod planner;
 
+use std::num::NonZero;
+
 use sphere_protocol::document::error::{DocumentError, Read};
 use sphere_protocol::document::node::Node;
 use sphere_protocol::document::shared::{Endpoints, LogFormat, endpoints, robot, robot_id};
@@ -29,6 +31,8 @@ pub struct StationFile {
     pub network: Endpoints,
     /// Settings of the planner.
     pub planner: PlannerSettings,
+    /// Threads that plan; `None`: one for every core but one.
+    pub threads: Option<NonZero<usize>>,
     /// The robots, at least one, each with an id of its own.
     pub robots: Vec<RobotConfig>,
 }
@@ -49,7 +53,7 @@ impl StationFile {
 
 fn station(text: &str, load: &mut dyn FnMut(&str) -> Result<String, String>) -> Read<StationFile> {
     let document = Node::document(text)?;
-    let keys = ["station", "log", "network", "planner", "robots"];
+    let keys = ["station", "log", "threads", "network", "planner", "robots"];
     let top = Table::open(&document, "", &keys)?;
     let mut robots: Vec<RobotConfig> = Vec::new();
     for (node, path) in top.list("robots")? {
@@ -77,6 +81,9 @@ fn station(text: &str, load: &mut dyn FnMut(&str) -> Result<String, String>) -> 
     Ok(StationFile {
         station: top.integer("station", 1, i64::MAX)?.map(i64::unsigned_abs),
         log: top.named_or("log", LogFormat::Human)?,
+        threads: top
+            .integer("threads", 1, THREADS_MAX)?
+            .and_then(|count| NonZero::new(usize::try_from(count).unwrap_or(0))),
         network: network(&top)?,
         planner: planner(&top)?,
         robots,
@@ -100,5 +107,7 @@ fn network(top: &Table<'_>) -> Read<Endpoints> {
 
 /// Where a station listens if nothing is said: this machine alone.
 pub const LISTEN: &str = "tcp/127.0.0.1:7447";
+/// Most planning threads: nobody has more cores.
+const THREADS_MAX: i64 = 1024;
 /// Longest time in a file [s].
 const LONGEST_S: f64 = 3e8;

@@ -34,7 +34,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! In reading order: [`station`], [`session`], [`tasking`]; [`link`] and [`predictor`]; [`trajectory`] on [`jet`]; [`planner`] and its
+//! In reading order: [`station`], [`session`], [`tasking`], [`workload`]; [`link`] and [`predictor`]; [`trajectory`] on [`jet`]; [`planner`] and its
 //! [`settings`]; [`kinematics`] and [`mpc`]; [`plan_command`], [`run`].
 
 pub mod config_file;
@@ -52,3 +52,4 @@ pub mod settings;
 pub mod station;
 pub mod tasking;
 pub mod trajectory;
+pub mod workload;

@@ -132,6 +132,7 @@ fn prepare(config: Option<&Path>) -> Result<Setup> {
             robots: station.robots,
         },
         network: station.network.into(),
+        threads: station.threads,
         watch: None,
     })
 }

@@ -91,6 +91,13 @@ impl Predictor {
         }
     }
 
+    /// When the newest plan that the robot is known to have ends.
+    pub fn covered_until(&self, telemetry: &Telemetry) -> Option<Instant<AgentClock>> {
+        let newest = telemetry.newest?;
+        let sent = self.sent.iter().rev().find(|sent| sent.plan.id == newest)?;
+        Some(sent.plan.ends())
+    }
+
     /// The reference state at `until`, from `telemetry`.
     pub fn predict(&self, telemetry: &Telemetry, until: Instant<AgentClock>) -> ReferenceState {
         let state = &telemetry.state;
@@ -207,7 +214,7 @@ impl Sent {
 }
 
 /// Length of time for which a plan may be played.
-trait Ends {
+pub(crate) trait Ends {
     /// The first instant at which it must not be played.
     fn ends(&self) -> Instant<AgentClock>;
 }

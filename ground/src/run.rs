@@ -3,6 +3,9 @@
 //! Messages arrive on Zenoh's threads and wait in one bounded queue; the planning thread takes them, plans when a robot is due and
 //! publishes. Nothing here waits for a robot.
 
+mod pool;
+
+use std::num::NonZero;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -17,6 +20,7 @@ use thiserror::Error;
 use tokio::sync::mpsc;
 use tracing::{debug, info, warn};
 
+pub use self::pool::Pool;
 use crate::station::{Event, Input, Order, Output, Station, StationConfig};
 
 /// What a station is run with.
@@ -25,6 +29,8 @@ pub struct Setup {
     pub station: StationConfig,
     /// How it takes part in the fleet's network: as its router, or as client of another.
     pub network: Role,
+    /// Threads that plan; without, one for every core but one.
+    pub threads: Option<NonZero<usize>>,
     /// Where to show what it knows, for a display in the same process.
     pub watch: Option<Watch>,
 }
@@ -41,6 +47,9 @@ pub enum RunError {
     /// The planning thread could not be started.
     #[error("cannot start the planning thread: {0}")]
     Thread(std::io::Error),
+    /// Nor could those that it shares the work with.
+    #[error("cannot start the planning threads: {0}")]
+    Pool(#[from] rayon::ThreadPoolBuildError),
     /// The planning thread panicked: a defect.
     #[error("the planning thread has died; the robots brake to rest by themselves")]
     Died,
@@ -76,6 +85,7 @@ impl Running {
         let Setup {
             station,
             network,
+            threads,
             mut watch,
         } = setup;
         let role = network.clone();
@@ -83,7 +93,8 @@ impl Running {
             .await
             .map_err(|_| RunError::Died)??;
         let clock = Clock::<GroundClock>::start();
-        let core = Station::new(station, clock.now());
+        let pool = Pool::new(threads)?;
+        let core = Station::with_workers(station, clock.now(), Box::new(pool));
         let (queue, incoming) = sync_channel(QUEUE);
         let (ended, done) = tokio::sync::oneshot::channel();
         let subscriber = {
@@ -178,6 +189,11 @@ fn planning_loop(
                     }
                 }
                 Output::Event { robot, event } => log(robot, &event),
+                Output::Overload {
+                    is_over: false,
+                    load,
+                } => warn!(%load, "planning takes longer than there is time"),
+                Output::Overload { .. } => info!("planning is in time again"),
             }
         }
         if let Some(watch) = watch {

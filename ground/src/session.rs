@@ -2,6 +2,7 @@
 //!
 //! What it does at each planning tick is in `Session::tick`, top down; everything else keeps the facts for it.
 
+mod job;
 mod lease;
 
 use std::collections::VecDeque;
@@ -14,12 +15,15 @@ use sphere_protocol::time::{AgentClock, GroundClock, Instant, Span};
 use sphere_protocol::wire::WireError;
 
 use crate::link::Link;
-use crate::planner::{Beginning, Knots, Planner};
-use crate::predictor::Predictor;
-use crate::settings::{Compensation, KNOT, PlannerMode, PlannerSettings};
+use crate::planner::{Knots, Planner};
+use crate::predictor::{Ends, Predictor};
+use crate::settings::{Compensation, KNOT, PlannerSettings};
 use crate::station::{Event, RobotConfig};
 use crate::tasking::{StartCondition, Task};
 use crate::trajectory::{Mission, Pose};
+use crate::workload::Effort;
+pub use job::Job;
+pub(crate) use job::Planned;
 use lease::Lease;
 
 /// What a session asks the station to send or tell.
@@ -50,6 +54,10 @@ pub struct Counters {
     pub shifted: u64,
     /// Typed commands.
     pub typed: u64,
+    /// Plans by one iteration, because the station was over its time.
+    pub real_time: u64,
+    /// Ticks at which the last plan went again, because the station was over its time; also counted as shifted.
+    pub shed: u64,
     /// Ticks without any plan although one was due: solver failed and nothing was left to send again.
     pub failed: u64,
     /// Ticks without a plan because telemetry was too old.
@@ -276,22 +284,24 @@ impl Session {
         self.planner.reset();
     }
 
-    /// One planning tick: a plan if the robot is ours, up, fresh and has something to do.
-    pub(crate) fn tick(&mut self, now: Instant<GroundClock>, out: &mut Vec<Request>) {
+    /// One planning tick: something to plan if the robot is ours, up, fresh and has something to do. [`Session::conclude`] ends it.
+    pub(crate) fn prepare(
+        &mut self,
+        now: Instant<GroundClock>,
+        out: &mut Vec<Request>,
+    ) -> Option<Job<'_>> {
         let (Some(life), Some(epoch)) = (&self.life, self.lease.epoch()) else {
-            return;
+            return None;
         };
         let telemetry = &life.telemetry;
         if self.is_held || !matches!(telemetry.mode, Mode::Idle | Mode::Tracking | Mode::Holding) {
-            return;
+            return None;
         }
         let is_localised = telemetry.position_sigma <= POSITION_SIGMA_MAX;
         if !self.task.is_under_way() && !is_localised {
-            return;
+            return None;
         }
-        let Some(start) = self.plan_start(now, life) else {
-            return;
-        };
+        let start = self.plan_start(now, life)?;
         if start.since(telemetry.stamp) > self.lead_max() {
             if self.task.is_under_way() {
                 self.counters.stale += 1;
@@ -299,7 +309,7 @@ impl Session {
                     out.push(Request::Event(Event::Stale));
                 }
             }
-            return;
+            return None;
         }
         self.is_stale = false;
         let here = Pose {
@@ -314,33 +324,50 @@ impl Session {
                 if was_under_way {
                     out.push(Request::Event(Event::MissionDone));
                 }
-                return;
+                return None;
             }
             Err(error) => {
                 out.push(Request::Event(Event::MissionRefused(error)));
-                return;
+                return None;
             }
         }
         if !was_under_way {
             out.push(Request::Event(Event::MissionStarted));
         }
-        match self.plan(self.on_grid(start), epoch) {
-            Some(plan) => {
-                self.counters.plans_sent += 1;
-                match plan.source {
-                    PlanSource::Riccati => self.counters.riccati += 1,
-                    PlanSource::Clarabel => self.counters.clarabel += 1,
-                    PlanSource::Shifted => self.counters.shifted += 1,
-                    PlanSource::Steps | PlanSource::Course => self.counters.typed += 1,
-                }
-                let arrival = self.link.arrival(now);
-                self.predictor.on_sent(plan.clone(), now, arrival);
-                out.push(Request::Plan(Box::new(plan.clone())));
-                if let Some(life) = &mut self.life {
-                    life.last_plan = Some(plan);
-                }
-            }
-            None => self.counters.failed += 1,
+        let start = self.on_grid(start);
+        Some(Job::new(self, start, epoch))
+    }
+
+    /// Ends the tick that [`Session::prepare`] began: sends what there is to send.
+    pub(crate) fn conclude(
+        &mut self,
+        now: Instant<GroundClock>,
+        planned: Planned,
+        out: &mut Vec<Request>,
+    ) {
+        let effort = planned.effort;
+        let Some(plan) = self.plan_of(planned) else {
+            self.counters.failed += 1;
+            return;
+        };
+        let counters = &mut self.counters;
+        counters.plans_sent += 1;
+        match plan.source {
+            PlanSource::Riccati => counters.riccati += 1,
+            PlanSource::Clarabel => counters.clarabel += 1,
+            PlanSource::Shifted => counters.shifted += 1,
+            PlanSource::Steps | PlanSource::Course => counters.typed += 1,
+        }
+        match effort {
+            Effort::Converge => {}
+            Effort::RealTime => counters.real_time += 1,
+            Effort::Shift => counters.shed += 1,
+        }
+        let arrival = self.link.arrival(now);
+        self.predictor.on_sent(plan.clone(), now, arrival);
+        out.push(Request::Plan(Box::new(plan.clone())));
+        if let Some(life) = &mut self.life {
+            life.last_plan = Some(plan);
         }
     }
 
@@ -375,54 +402,32 @@ impl Session {
         self.settings.horizon_length().min(self.settings.max_age)
     }
 
-    /// A new plan, or the last one again if the solver fails and it still has something to play.
-    fn plan(&mut self, start: Instant<AgentClock>, epoch: u32) -> Option<SetpointPlan> {
-        let life = self.life.as_ref()?;
-        let last = life.last_plan.as_ref();
-        let telemetry = &life.telemetry;
-        let (trajectory, anchor) = self.task.running()?;
-        let is_naive = self.settings.compensation == Compensation::Naive;
-        let x = if is_naive {
-            self.predictor.predict(telemetry, telemetry.stamp)
-        } else {
-            self.predictor.predict(telemetry, start)
-        };
-        let measured = match (self.settings.mode, is_naive) {
-            (PlannerMode::Paper, true) => [telemetry.state.v, telemetry.state.q_r],
-            _ => [x[3], x[4]],
-        };
-        let since_last = last.map_or(0.0, |last| start.since(last.start).as_secs_f64());
-        let beginning = Beginning {
-            x,
-            measured,
-            shift: (since_last / KNOT).round().max(0.0) as usize,
-        };
-        let mission_time = start.since(anchor).as_secs_f64();
-        let outcome = match trajectory.program() {
-            Some(program) => Ok(self.planner.typed(&beginning, program, mission_time)),
-            None => self
-                .planner
-                .plan(&beginning, |t| trajectory.reference(mission_time + t)),
-        };
+    /// The new plan, or the last one again if there is none and the last one still has something to play.
+    fn plan_of(&self, planned: Planned) -> Option<SetpointPlan> {
+        let Planned {
+            start,
+            epoch,
+            effort,
+            knots,
+        } = planned;
+        let last = self.life.as_ref()?.last_plan.as_ref();
         let id = PlanId {
             epoch,
             seq: last.map_or(1, |last| last.id.seq.saturating_add(1)),
         };
-        let remaining = last.filter(|last| {
-            let ends = (last.start + Span::from_secs_f64(KNOT * last.u.len() as f64))
-                .min(last.based_on + last.valid_for);
-            ends > start
-        });
-        match (outcome, remaining) {
-            (Ok(knots), _) if knots.is_optimal => self.stamped(knots, start, id),
-            // Optimal from a little earlier is better than not optimal at all.
+        let remaining = last.filter(|last| last.ends() > start);
+        match (knots, remaining) {
+            // One iteration a tick converges over the ticks: newer is better here, elsewhere optimal from a little earlier is.
+            (Some(knots), _) if knots.is_optimal || effort == Effort::RealTime => {
+                self.stamped(knots, start, id)
+            }
             (_, Some(last)) => Some(SetpointPlan {
                 id,
                 source: PlanSource::Shifted,
                 ..last.clone()
             }),
-            (Ok(knots), None) => self.stamped(knots, start, id),
-            (Err(_), None) => None,
+            (Some(knots), None) => self.stamped(knots, start, id),
+            (None, None) => None,
         }
     }
 

@@ -5,8 +5,8 @@
 //!                        poll_timeout() says when handle_input(now, Timeout) is due
 //! ```
 //!
-//! Every robot is planned for at 10 Hz, in a phase of its own so that a fleet's plans do not leave in one burst. A robot it is not
-//! configured for is none of its business.
+//! Every robot is planned for at 10 Hz, in one of fifty phases so that a fleet's plans do not leave in one burst; those that are due
+//! together are planned together, on [`Workers`] ([`crate::workload`]). A robot it is not configured for is none of its business.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -20,10 +20,11 @@ use sphere_protocol::robot::{Robot, RobotId};
 use sphere_protocol::time::{AgentClock, GroundClock, Instant, Span};
 use sphere_protocol::wire::{self, Buffer, Wire, WireError};
 
-use crate::session::{Request, Session};
+use crate::session::{Job, Request, Session};
 use crate::settings::PlannerSettings;
 use crate::tasking::StartCondition;
 use crate::trajectory::{Mission, MissionError};
+use crate::workload::{Governor, Inline, Load, Need, Workers};
 
 /// What a station knows from the start.
 #[derive(Clone, Debug)]
@@ -107,6 +108,13 @@ pub enum Output {
         /// What.
         event: Event,
     },
+    /// Planning takes more time than there is, and some plans are cut short or left out; or that is over.
+    Overload {
+        /// Whether it has begun or is over.
+        is_over: bool,
+        /// The batch that showed it.
+        load: Load,
+    },
 }
 
 /// Something worth telling.
@@ -160,52 +168,86 @@ pub enum Event {
 
 /// The station.
 pub struct Station {
-    station: u64,
-    sessions: BTreeMap<RobotId, Slot>,
-    /// `Slot::due` of every robot.
-    due: BTreeSet<(Instant<GroundClock>, RobotId)>,
-    outputs: VecDeque<Output>,
-    requests: Vec<Request>,
-    buffer: Box<Buffer>,
-    dropped: [u32; DropReason::COUNT],
+    /// By name.
+    slots: Vec<Slot>,
+    places: BTreeMap<RobotId, usize>,
+    /// `Slot::due` of every robot, with its place.
+    due: BTreeSet<(Instant<GroundClock>, usize)>,
+    workers: Box<dyn Workers>,
+    governor: Governor,
+    /// When a plan was last cut short or left out, while the station is over its time.
+    overload: Option<Instant<GroundClock>>,
+    planning_time: Span,
+    outbox: Outbox,
 }
 
 struct Slot {
+    id: RobotId,
     session: Session,
     next_tick: Instant<GroundClock>,
     due: Instant<GroundClock>,
 }
 
+/// What is to be sent and told.
+struct Outbox {
+    station: u64,
+    outputs: VecDeque<Output>,
+    /// What a session has just asked for; empty between two steps.
+    requests: Vec<Request>,
+    buffer: Box<Buffer>,
+    dropped: [u32; DropReason::COUNT],
+}
+
 impl Station {
-    /// A station that is started at `now`.
+    /// A station that is started at `now` and plans on its caller's thread.
     pub fn new(config: StationConfig, now: Instant<GroundClock>) -> Self {
+        Self::with_workers(config, now, Box::new(Inline))
+    }
+
+    /// A station that is started at `now` and plans on `workers`.
+    pub fn with_workers(
+        config: StationConfig,
+        now: Instant<GroundClock>,
+        workers: Box<dyn Workers>,
+    ) -> Self {
         let robots: BTreeMap<_, _> = config
             .robots
             .iter()
             .map(|robot| (robot.id, robot))
             .collect();
-        let count = robots.len().max(1) as i64;
-        let sessions: BTreeMap<_, _> = robots
+        let count = robots.len() as i64;
+        // Each robot in a phase of its own as long as there are few; of many, some together, to be planned at once.
+        let phases = count.clamp(1, PHASES_MAX);
+        let slots: Vec<Slot> = robots
             .into_iter()
             .enumerate()
             .map(|(i, (id, robot))| {
-                let phase = Span::from_nanos(TICK.as_nanos() * i as i64 / count);
-                let slot = Slot {
+                let phase = i as i64 * phases / count;
+                let due = now + Span::from_nanos(TICK.as_nanos() * phase / phases);
+                Slot {
+                    id,
                     session: Session::new(robot, &config.planner, config.station),
-                    next_tick: now + phase,
-                    due: now + phase,
-                };
-                (id, slot)
+                    next_tick: due,
+                    due,
+                }
             })
             .collect();
+        let numbered = || slots.iter().enumerate();
         Self {
-            station: config.station,
-            due: sessions.iter().map(|(id, slot)| (slot.due, *id)).collect(),
-            sessions,
-            outputs: VecDeque::new(),
-            requests: Vec::new(),
-            buffer: Box::new(ArrayVec::new()),
-            dropped: [0; DropReason::COUNT],
+            places: numbered().map(|(place, slot)| (slot.id, place)).collect(),
+            due: numbered().map(|(place, slot)| (slot.due, place)).collect(),
+            slots,
+            workers,
+            governor: Governor::default(),
+            overload: None,
+            planning_time: Span::ZERO,
+            outbox: Outbox {
+                station: config.station,
+                outputs: VecDeque::new(),
+                requests: Vec::new(),
+                buffer: Box::new(ArrayVec::new()),
+                dropped: [0; DropReason::COUNT],
+            },
         }
     }
 
@@ -215,26 +257,23 @@ impl Station {
             Input::Message { key, bytes } => self.on_message(now, key, bytes),
             Input::Timeout => {}
             Input::Order { robot, order } => {
-                if let Some(slot) = self.sessions.get_mut(&robot) {
+                if let Some(&place) = self.places.get(&robot) {
+                    let session = &mut self.slots[place].session;
                     match order {
-                        Order::Command(command) => slot.session.order(command),
-                        Order::Start => slot.session.start(),
-                        Order::Assign { mission, start } => slot.session.assign(mission, start),
+                        Order::Command(command) => session.order(command),
+                        Order::Start => session.start(),
+                        Order::Assign { mission, start } => session.assign(mission, start),
                     }
-                    self.serve(now, robot);
+                    self.attend(now, place);
                 }
             }
         }
-        while let Some((due, robot)) = self.due.first().copied()
-            && due <= now
-        {
-            self.serve(now, robot);
-        }
+        self.serve_due(now);
     }
 
     /// What to do next, until `None`.
     pub fn poll_output(&mut self) -> Option<Output> {
-        self.outputs.pop_front()
+        self.outbox.outputs.pop_front()
     }
 
     /// When [`Input::Timeout`] is due. Without robots: never.
@@ -246,12 +285,22 @@ impl Station {
 
     /// What is known of one robot.
     pub fn session(&self, robot: &RobotId) -> Option<&Session> {
-        Some(&self.sessions.get(robot)?.session)
+        Some(&self.slots[*self.places.get(robot)?].session)
     }
 
     /// What is known of every robot, by name.
     pub fn sessions(&self) -> impl Iterator<Item = (&RobotId, &Session)> {
-        self.sessions.iter().map(|(id, slot)| (id, &slot.session))
+        self.slots.iter().map(|slot| (&slot.id, &slot.session))
+    }
+
+    /// How long planning has taken since this was last asked, by its workers' word. A shell whose clock goes on by itself need not ask.
+    pub fn take_planning_time(&mut self) -> Span {
+        core::mem::replace(&mut self.planning_time, Span::ZERO)
+    }
+
+    /// How it keeps up with planning.
+    pub fn load(&self) -> &Load {
+        self.governor.load()
     }
 
     /// When the robot's present mission began, by the station's clock: an estimate that gets better with every echo.
@@ -269,64 +318,145 @@ impl Station {
 
     /// Messages dropped that could not be laid to a configured robot, by [`DropReason`].
     pub fn dropped(&self) -> &[u32; DropReason::COUNT] {
-        &self.dropped
+        &self.outbox.dropped
     }
 
     fn on_message(&mut self, now: Instant<GroundClock>, key: &str, bytes: &[u8]) {
         let Ok(key) = Key::parse(key) else {
-            return self.count_drop(DropReason::Malformed);
+            return self.outbox.count_drop(DropReason::Malformed);
         };
-        let robot = key.robot();
-        let Some(slot) = self.sessions.get_mut(&robot) else {
-            return self.count_drop(DropReason::WrongRobot);
+        let Some(&place) = self.places.get(&key.robot()) else {
+            return self.outbox.count_drop(DropReason::WrongRobot);
         };
-        let session = &mut slot.session;
+        let (session, requests) = (&mut self.slots[place].session, &mut self.outbox.requests);
         match (key.direction(), key.topic()) {
             (Direction::Up, Telemetry::TOPIC) => match wire::decode::<Telemetry>(bytes) {
-                Ok(telemetry) => session.on_telemetry(now, telemetry, &mut self.requests),
-                Err(error) => session.on_unreadable(error, &mut self.requests),
+                Ok(telemetry) => session.on_telemetry(now, telemetry, requests),
+                Err(error) => session.on_unreadable(error, requests),
             },
             (Direction::Up, Status::TOPIC) => match wire::decode::<Status>(bytes) {
-                Ok(status) => session.on_status(&status, &mut self.requests),
-                Err(error) => session.on_unreadable(error, &mut self.requests),
+                Ok(status) => session.on_status(&status, requests),
+                Err(error) => session.on_unreadable(error, requests),
             },
             _ => session.count_drop(DropReason::Unexpected),
         }
-        self.serve(now, robot);
+        self.attend(now, place);
     }
 
-    /// Does what is due for one robot, commands before plans, and notes when it is to be served next.
-    fn serve(&mut self, now: Instant<GroundClock>, robot: RobotId) {
-        let Some(slot) = self.sessions.get_mut(&robot) else {
-            return;
-        };
-        slot.session.poll_commands(now, &mut self.requests);
-        if slot.next_tick <= now {
-            // After a pause ticks that were missed are not made up for, and the phase stays.
-            let missed = now.since(slot.next_tick).as_nanos() / TICK.as_nanos();
-            slot.next_tick += Span::from_nanos(TICK.as_nanos().saturating_mul(missed + 1));
-            slot.session.tick(now, &mut self.requests);
-        }
+    /// Sends the commands that are due to one robot, and notes when it is to be served next.
+    fn attend(&mut self, now: Instant<GroundClock>, place: usize) {
+        let slot = &mut self.slots[place];
+        slot.session.poll_commands(now, &mut self.outbox.requests);
+        self.outbox.send(slot.id);
         let next = match slot.session.command_timeout() {
             // What was sent just now is due again later: strictly later than now, or serving would never end.
             Some(command) => command.max(now + Span::from_millis(1)).min(slot.next_tick),
             None => slot.next_tick,
         };
-        self.due.remove(&(slot.due, robot));
+        self.due.remove(&(slot.due, place));
         slot.due = next;
-        self.due.insert((next, robot));
-        self.send_requests(robot);
+        self.due.insert((next, place));
     }
 
-    fn send_requests(&mut self, robot: RobotId) {
-        let requests = core::mem::take(&mut self.requests);
-        for request in &requests {
+    /// Does all that is due, commands before plans.
+    fn serve_due(&mut self, now: Instant<GroundClock>) {
+        let mut to_plan = Vec::new();
+        let mut late = Span::ZERO;
+        while let Some((due, place)) = self.due.first().copied()
+            && due <= now
+        {
+            let slot = &mut self.slots[place];
+            let is_tick = slot.next_tick <= now;
+            if is_tick {
+                late = late.max(now.since(slot.next_tick));
+                // After a pause ticks that were missed are not made up for, and the phase stays.
+                let missed = now.since(slot.next_tick).as_nanos() / TICK.as_nanos();
+                slot.next_tick += Span::from_nanos(TICK.as_nanos().saturating_mul(missed + 1));
+                to_plan.push(place);
+            }
+            self.attend(now, place);
+        }
+        if !to_plan.is_empty() {
+            self.plan(now, late, &mut to_plan);
+        }
+    }
+
+    /// Plans for the robots at `places` at once, `late` after the first of them was due.
+    fn plan(&mut self, now: Instant<GroundClock>, late: Span, places: &mut [usize]) {
+        places.sort_unstable();
+        let outbox = &mut self.outbox;
+        let mut planned = Vec::with_capacity(places.len());
+        {
+            let mut jobs = Vec::with_capacity(places.len());
+            let mut prepared = Vec::with_capacity(places.len());
+            for (place, slot) in select(&mut self.slots, places) {
+                let job = slot.session.prepare(now, &mut outbox.requests);
+                outbox.send(slot.id);
+                if let Some(job) = job {
+                    jobs.push(job);
+                    prepared.push(place);
+                }
+            }
+            let needs: Vec<Need> = jobs.iter().map(Job::need).collect();
+            for (job, effort) in jobs.iter_mut().zip(self.governor.share_out(late, &needs)) {
+                job.set_effort(effort);
+            }
+            let took = self.workers.run(&mut jobs);
+            self.governor.learn(took);
+            self.planning_time = self.planning_time + took;
+            for (place, job) in prepared.into_iter().zip(jobs) {
+                planned.push((place, job.into_planned()));
+            }
+        }
+        for (place, planned) in planned {
+            let slot = &mut self.slots[place];
+            slot.session.conclude(now, planned, &mut outbox.requests);
+            outbox.send(slot.id);
+        }
+        self.tell_overload(now);
+    }
+
+    /// Once when it begins, once when it has been over for a second.
+    fn tell_overload(&mut self, now: Instant<GroundClock>) {
+        let load = *self.governor.load();
+        let before = self.overload;
+        match before {
+            _ if load.is_over() => self.overload = Some(now),
+            Some(last) if now.since(last) > OVERLOAD_OVER => self.overload = None,
+            _ => {}
+        }
+        if before.is_some() != self.overload.is_some() {
+            let is_over = self.overload.is_none();
+            self.outbox
+                .outputs
+                .push_back(Output::Overload { is_over, load });
+        }
+    }
+}
+
+/// The items of `slots` at `places`, which ascend.
+fn select<'a>(
+    slots: &'a mut [Slot],
+    places: &[usize],
+) -> impl Iterator<Item = (usize, &'a mut Slot)> {
+    let (mut rest, mut passed) = (slots, 0);
+    places.iter().map(move |&place| {
+        let (slot, after) = core::mem::take(&mut rest)[place - passed..]
+            .split_first_mut()
+            .expect("a place of a slot");
+        (rest, passed) = (after, place + 1);
+        (place, slot)
+    })
+}
+
+impl Outbox {
+    /// Puts into the outputs what the session of `robot` has asked for.
+    fn send(&mut self, robot: RobotId) {
+        let mut requests = core::mem::take(&mut self.requests);
+        for request in requests.drain(..) {
             match request {
-                Request::Event(event) => self.outputs.push_back(Output::Event {
-                    robot,
-                    event: event.clone(),
-                }),
-                Request::Plan(plan) => self.publish::<SetpointPlan>(robot, plan),
+                Request::Event(event) => self.outputs.push_back(Output::Event { robot, event }),
+                Request::Plan(plan) => self.publish::<SetpointPlan>(robot, &plan),
                 Request::Command {
                     boot_id,
                     number,
@@ -335,16 +465,15 @@ impl Station {
                     robot,
                     &Command {
                         robot,
-                        boot_id: *boot_id,
-                        number: *number,
+                        boot_id,
+                        number,
                         station: self.station,
-                        order: *order,
+                        order,
                     },
                 ),
             }
         }
         self.requests = requests;
-        self.requests.clear();
     }
 
     fn publish<M: Wire>(&mut self, robot: RobotId, message: &M) {
@@ -368,3 +497,7 @@ impl Station {
 
 /// Planning period of each robot.
 const TICK: Span = Span::from_millis(100);
+/// Time without a plan cut short after which an overload is over.
+const OVERLOAD_OVER: Span = Span::from_millis(1000);
+/// Most phases into which a tick is divided: 2 ms apart, so that few plans leave at once and enough are due together to be planned at once.
+const PHASES_MAX: i64 = 50;

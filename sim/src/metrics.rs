@@ -51,6 +51,10 @@ pub struct SolverCounts {
     pub clarabel: u64,
     /// Neither: the last plan, shifted.
     pub shifted: u64,
+    /// One iteration only, because the station was over its time.
+    pub real_time: u64,
+    /// Of `shifted`: because the station was over its time.
+    pub shed: u64,
 }
 
 /// `metrics.json`.

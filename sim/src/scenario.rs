@@ -53,6 +53,8 @@ pub struct Scenario {
     pub metrics: MetricsSetup,
     /// Settings of the station's planner.
     pub planner: PlannerSettings,
+    /// The computer that the station runs on.
+    pub station: StationComputer,
     /// The robots, at least one, in the order of the file.
     pub robots: Vec<RobotSetup>,
 }
@@ -125,6 +127,14 @@ pub struct Fault {
     pub for_s: f64,
     /// Whose agent or link is concerned; empty = everybody's.
     pub robots: Vec<RobotId>,
+}
+
+/// The computer that the station runs on.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StationComputer {
+    /// Time for a converged plan [µs]; the station then plans for its robots one after the other, and on less where that takes too long.
+    /// Default 0: it is always in time.
+    pub plan_time_us: f64,
 }
 
 /// Quality of the sensors.

@@ -5,6 +5,7 @@
 //! order in which they were caused; every random number comes from a stream named after its robot and purpose.
 
 mod faults;
+mod planning;
 mod process;
 mod setup;
 
@@ -50,6 +51,8 @@ pub struct World {
     station_id: u64,
     /// The station's timeout that is in the queue.
     station_due: WorldTime,
+    /// Until when it is busy planning.
+    station_free: WorldTime,
     queue: BinaryHeap<Reverse<Entry>>,
     caused: u64,
     scenario: Scenario,
@@ -198,13 +201,14 @@ impl World {
             .map(|(index, setup)| SimRobot::new(scenario, index, setup))
             .collect::<Result<Vec<_>, _>>()?;
         let config = setup::station_config(scenario, station_id);
-        let station = Station::new(config, Instant::from_nanos(0) + station_clock);
+        let station = planning::station(scenario, config, Instant::from_nanos(0) + station_clock);
         let mut world = Self {
             robots,
             station,
             station_clock,
             station_id,
             station_due: Span::ZERO,
+            station_free: Span::ZERO,
             queue: BinaryHeap::new(),
             caused: 0,
             scenario: scenario.clone(),
@@ -349,6 +353,10 @@ impl World {
                     },
                 );
             }
+            // A station that plans takes nothing in meanwhile.
+            Happening::ToStation { .. } if now < self.station_free => {
+                self.schedule(self.station_free, what);
+            }
             Happening::ToStation { key, bytes } => {
                 let key = String::from_utf8_lossy(&key);
                 self.station_input(
@@ -363,7 +371,10 @@ impl World {
             Happening::FaultEnds { fault } => self.fault_ends(now, fault),
             Happening::Replay { fault } => self.replay(now, fault),
             Happening::StationTimeout => {
-                if self.station_due == now {
+                if self.station_due == now && now < self.station_free {
+                    self.station_due = self.station_free;
+                    self.schedule(self.station_free, Happening::StationTimeout);
+                } else if self.station_due == now {
                     self.station_input(now, StationInput::Timeout);
                 }
             }
@@ -453,6 +464,8 @@ impl World {
         }
         let station_now = Instant::<GroundClock>::from_nanos(now.as_nanos()) + self.station_clock;
         self.station.handle_input(station_now, input);
+        let planning = self.station.take_planning_time();
+        self.station_free = now + planning;
         while let Some(output) = self.station.poll_output() {
             match output {
                 StationOutput::Publish {
@@ -466,7 +479,7 @@ impl World {
                         continue;
                     };
                     let cell = &mut self.robots[robot];
-                    let mut leaves = now + PLANNING_TIME;
+                    let mut leaves = now + planning + PLANNING_TIME;
                     if key.ends_with(SetpointPlan::TOPIC) {
                         leaves = leaves + cell.link_faults.planning_delay(now);
                     }
@@ -478,6 +491,8 @@ impl World {
                         self.schedule(arrival, Happening::ToAgent { robot, key, bytes });
                     }
                 }
+                // In virtual time planning takes as long as the scenario says.
+                StationOutput::Overload { .. } => {}
                 StationOutput::Event { robot, event } => {
                     self.report(now, robot, Reported::Station(event))
                 }
@@ -566,6 +581,8 @@ impl World {
                         riccati: counters.riccati,
                         clarabel: counters.clarabel,
                         shifted: counters.shifted,
+                        real_time: counters.real_time,
+                        shed: counters.shed,
                     },
                 }
             })
@@ -682,6 +699,8 @@ fn sum(a: Counters, b: Counters) -> Counters {
         riccati: a.riccati + b.riccati,
         clarabel: a.clarabel + b.clarabel,
         shifted: a.shifted + b.shifted,
+        real_time: a.real_time + b.real_time,
+        shed: a.shed + b.shed,
         typed: a.typed + b.typed,
         failed: a.failed + b.failed,
         stale: a.stale + b.stale,

@@ -413,6 +413,7 @@ impl World {
         let now = self.now as f64 * 1e-9;
         while let Some(output) = self.station.poll_output() {
             match output {
+                Output::Overload { .. } => {}
                 Output::Event { robot, event } => self.events.push((now, robot, event)),
                 Output::Publish {
                     robot, key, bytes, ..

@@ -241,6 +241,8 @@ impl Fleet {
                     riccati: counters.riccati,
                     clarabel: counters.clarabel,
                     shifted: counters.shifted,
+                    real_time: counters.real_time,
+                    shed: counters.shed,
                 },
             }
         };
@@ -414,6 +416,7 @@ fn station_setup(scenario: &Scenario, at: SocketAddr, watch: Watch) -> StationSe
         network: Role::Router {
             listen: vec![format!("tcp/{at}")],
         },
+        threads: None,
         watch: Some(watch),
     }
 }

@@ -22,6 +22,7 @@ pub(super) fn scenario(scenario: &Scenario) -> String {
         sensing,
         metrics,
         planner,
+        station,
         robots,
     } = scenario;
     let mut text = String::from(
@@ -77,6 +78,11 @@ pub(super) fn scenario(scenario: &Scenario) -> String {
             ("compensation", quoted(planner.compensation.name())),
             ("solver", quoted(planner.solver.name())),
         ],
+    );
+    write_table(
+        &mut text,
+        "[station]",
+        &vec![("plan_time_us", number(station.plan_time_us))],
     );
     for setup in robots {
         write_table(&mut text, "[[robots]]", &robot(setup));

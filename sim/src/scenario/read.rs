@@ -5,7 +5,7 @@ use sphere_protocol::robot::RobotId;
 
 use super::{
     Environment, Fault, FaultKind, Link, Loss, MetricsSetup, Network, Partition, Scenario, Sensing,
-    robots,
+    StationComputer, robots,
 };
 use sphere_protocol::document::error::Read;
 use sphere_protocol::document::node::Node;
@@ -41,6 +41,7 @@ pub(super) fn scenario(
             "sensing",
             "metrics",
             "planner",
+            "station",
             "robots",
         ],
     )?;
@@ -58,6 +59,7 @@ pub(super) fn scenario(
         sensing: sensing(&top, environment)?,
         metrics: metrics(&top)?,
         planner: planner(&top)?,
+        station: station(&top)?,
         robots,
     };
     Ok(scenario)
@@ -197,6 +199,14 @@ fn sensing(top: &Table<'_>, environment: Environment) -> Read<Sensing> {
             Range::within(0.0, 1e3),
             0.02,
         )?,
+    })
+}
+
+fn station(top: &Table<'_>) -> Read<StationComputer> {
+    let empty = empty();
+    let table = section(top, "station", &["plan_time_us"], &empty)?;
+    Ok(StationComputer {
+        plan_time_us: table.number_or("plan_time_us", Range::within(0.0, 1e6), 0.0)?,
     })
 }
 

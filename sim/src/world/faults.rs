@@ -6,13 +6,13 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use sphere_agent::agent::{Agent, Input as AgentInput};
 use sphere_agent::estimator::StartPose;
-use sphere_ground::station::{Input as StationInput, Station};
+use sphere_ground::station::Input as StationInput;
 use sphere_ground::tasking::StartCondition;
 use sphere_protocol::robot::RobotId;
 use sphere_protocol::time::{Instant, Span};
 
 use super::process::{Process, Waiting};
-use super::{Happening, Inject, World, WorldTime, setup, sum};
+use super::{Happening, Inject, World, WorldTime, planning, setup, sum};
 use crate::scenario::{Fault, FaultKind, Scenario};
 
 /// Faults of one robot's link.
@@ -122,7 +122,8 @@ impl World {
             }
         }
         let station_now = Instant::from_nanos(now.as_nanos()) + self.station_clock;
-        self.station = Station::new(config, station_now);
+        self.station = planning::station(&self.scenario, config, station_now);
+        self.station_free = now;
         self.station_process = Process::Running;
         self.station_due = now;
         self.schedule(now, Happening::StationTimeout);
