@@ -6,7 +6,7 @@
 mod pool;
 
 use std::num::NonZero;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
@@ -163,21 +163,27 @@ fn planning_loop(
     watch: &mut Option<Watch>,
 ) {
     loop {
-        match incoming.recv_timeout(clock.until(station.poll_timeout()).min(IDLE)) {
-            Ok(Incoming::Message(Received { key, bytes, .. })) => {
-                station.handle_input(
-                    clock.now(),
-                    Input::Message {
-                        key: &key,
-                        bytes: &bytes,
-                    },
-                );
+        // All that waits first: plans are made from the newest that is known.
+        let mut next = incoming.recv_timeout(clock.until(station.poll_timeout()).min(IDLE));
+        for _ in 0..QUEUE {
+            match next {
+                Ok(Incoming::Message(Received { key, bytes, .. })) => {
+                    let (key, bytes) = (&*key, &*bytes);
+                    station.handle_input(clock.now(), Input::Message { key, bytes });
+                }
+                Ok(Incoming::Order(robot, order)) => {
+                    station.handle_input(clock.now(), Input::Order { robot, order });
+                }
+                Ok(Incoming::Stop) | Err(RecvTimeoutError::Disconnected) => return,
+                Err(RecvTimeoutError::Timeout) => break,
             }
-            Ok(Incoming::Order(robot, order)) => {
-                station.handle_input(clock.now(), Input::Order { robot, order })
-            }
-            Ok(Incoming::Stop) | Err(RecvTimeoutError::Disconnected) => return,
-            Err(RecvTimeoutError::Timeout) => station.handle_input(clock.now(), Input::Timeout),
+            next = incoming.try_recv().map_err(|error| match error {
+                TryRecvError::Empty => RecvTimeoutError::Timeout,
+                TryRecvError::Disconnected => RecvTimeoutError::Disconnected,
+            });
+        }
+        if station.poll_timeout() <= clock.now() {
+            station.handle_input(clock.now(), Input::Timeout);
         }
         while let Some(output) = station.poll_output() {
             match output {

@@ -60,7 +60,7 @@ pub enum Input<'a> {
         /// The bytes.
         bytes: &'a [u8],
     },
-    /// The time of [`Station::poll_timeout`] has come.
+    /// The time of [`Station::poll_timeout`] has come: commands and plans that are due.
     Timeout,
     /// An operator orders. Unknown robots are ignored.
     Order {
@@ -251,11 +251,12 @@ impl Station {
         }
     }
 
-    /// Takes note of `input`, and does what is due. Call [`Station::poll_output`] until it is empty afterwards.
+    /// Takes note of `input`; what takes time, [`Input::Timeout`] alone does. Give it every message that waits before that, so that plans
+    /// are made from what is known. Call [`Station::poll_output`] until it is empty afterwards.
     pub fn handle_input(&mut self, now: Instant<GroundClock>, input: Input<'_>) {
         match input {
             Input::Message { key, bytes } => self.on_message(now, key, bytes),
-            Input::Timeout => {}
+            Input::Timeout => self.serve_due(now),
             Input::Order { robot, order } => {
                 if let Some(&place) = self.places.get(&robot) {
                     let session = &mut self.slots[place].session;
@@ -268,7 +269,6 @@ impl Station {
                 }
             }
         }
-        self.serve_due(now);
     }
 
     /// What to do next, until `None`.

@@ -372,8 +372,9 @@ impl World {
             Happening::Replay { fault } => self.replay(now, fault),
             Happening::StationTimeout => {
                 if self.station_due == now && now < self.station_free {
-                    self.station_due = self.station_free;
-                    self.schedule(self.station_free, Happening::StationTimeout);
+                    // After the messages that wait.
+                    self.station_due = self.station_free + Span::from_nanos(1);
+                    self.schedule(self.station_due, Happening::StationTimeout);
                 } else if self.station_due == now {
                     self.station_input(now, StationInput::Timeout);
                 }
