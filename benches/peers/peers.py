@@ -36,6 +36,7 @@ def main():
     # Some solvers greet on the standard output, which is for the tables.
     tables = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
+    head = {**machine(), "passes": arguments.passes, "command": "benches/peers/run " + " ".join(own_arguments())}
     load = [os.getloadavg()[0]]
     with tempfile.TemporaryDirectory(prefix="peers-") as folder:
         call([arguments.runner, "record", folder])
@@ -45,9 +46,10 @@ def main():
             for name in arguments.sets.split(",")
             for result in measure(arguments, folder, name)
         ]
+        os.chdir(ROOT)
     load.append(os.getloadavg()[0])
 
-    head = {**machine(), "passes": arguments.passes, "load": load, "command": "benches/peers/run " + " ".join(own_arguments())}
+    head["load"] = load
     with open(os.path.join(arguments.work, "peers.json"), "w") as file:
         json.dump({"head": head, "results": results}, file, indent=1)
     text = page(head, results)
@@ -72,6 +74,9 @@ def measure(arguments, folder, name):
         except Exception as error:
             left_out.append({"name": row.name, "why": str(error).strip().splitlines()[-1][:200]})
             print(f"{name}: without {row.name}: {left_out[-1]['why']}", file=sys.stderr)
+    missing = {BASE, casadi_rows.tight().name} - {row.name for row in rows}
+    if missing:
+        sys.exit(f"cannot compare without {', '.join(sorted(missing))}: {left_out}")
     tight = rows.pop()
     passes = {t: {} for t in TRAJECTORIES}
     for number in range(arguments.passes):
@@ -81,6 +86,7 @@ def measure(arguments, folder, name):
             for row in rows:
                 row.model.data = data[t]
                 found.append(row.run(range(len(data[t].p))))
+                print(f"  {row.name}", file=sys.stderr, flush=True)
             for one in found:
                 passes[t].setdefault(one["name"], []).append(one)
     for t in TRAJECTORIES:
