@@ -258,7 +258,7 @@ def sqp(qpsol, options):
 def rows():
     """Every CasADi row; the first is what the ratios are to. Not OSQP: it diverges where the exact Hessian is indefinite."""
     quiet = {"print_iter": False, "print_header": False, "print_info": False}
-    fatrop = {"print_level": 0, "tol": 1e-6, "warm_start_init_point": True, "mu_init": 1e-4}
+    fatrop = {"print_level": 0, "tol": 1e-8, "warm_start_init_point": True, "mu_init": 1e-6}
     return [
         Row("CasADi sqpmethod + qpOASES", "sqpmethod", "multiple", sqp("qpoases", QPOASES)),
         Row("CasADi sqpmethod + qpOASES, single shooting", "sqpmethod", "single", sqp("qpoases", QPOASES)),
@@ -266,7 +266,7 @@ def rows():
         Row("CasADi sqpmethod + DAQP, single shooting", "sqpmethod", "single", sqp("daqp", {})),
         Row("CasADi sqpmethod + HPIPM", "sqpmethod", "tailed", sqp("hpipm", {})),
         Row("CasADi fatrop", "fatrop", "tailed", {"structure_detection": "auto", "fatrop": fatrop}),
-        Row("CasADi ipopt (MUMPS)", "ipopt", "multiple", {"ipopt": {**IPOPT, "tol": 1e-6, "mu_init": 1e-6}}),
+        Row("CasADi ipopt (MUMPS)", "ipopt", "multiple", {"ipopt": {**IPOPT, "tol": 1e-8, "mu_init": 1e-6}}),
     ]
 
 

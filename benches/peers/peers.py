@@ -144,7 +144,7 @@ def page(head, results):
     """The tables as Markdown, with what they were measured on."""
     lines = [
         f"Measured {head['date']} on {head['processor']} ({head['cores']} cores), {head['system']}; commit {head['commit']}; "
-        f"{', '.join(head['versions'])}. One core, {head['passes']} passes in which all rows take turns, of each instance the least time. "
+        f"{', '.join(head['versions'])}. One core, {head['passes']} pass{'es' if head['passes'] > 1 else ''} in which all rows take turns, of each instance the least time. "
         f"Load average {head['load'][0]:.1f} before and {head['load'][1]:.1f} after"
         + (": **the machine was shared**, so ratios are worth more than times." if max(head["load"]) > 1.5 else ".")
         + f" Command: `{head['command'].strip()}`.",
