@@ -100,6 +100,22 @@ impl Planner {
         }
     }
 
+    /// The problem of the last [`Planner::plan`], in the formulation `lag`.
+    pub fn lag_problem(&self) -> Option<&Problem<5>> {
+        match &self.formulation {
+            Formulation::Lag(lag) => Some(&lag.0),
+            Formulation::Paper(_) => None,
+        }
+    }
+
+    /// The problem of the last [`Planner::plan`], in the formulation `paper`.
+    pub fn paper_problem(&self) -> Option<&Problem<3>> {
+        match &self.formulation {
+            Formulation::Lag(_) => None,
+            Formulation::Paper(paper) => Some(&paper.0),
+        }
+    }
+
     /// The commands of `program`, `t` seconds after its start, as a plan: nothing is optimised and nothing fed back.
     pub fn typed(&self, beginning: &Beginning, program: &Program, t: f64) -> Knots {
         let mut x = beginning.x;

@@ -138,6 +138,11 @@ impl Session {
         &self.link
     }
 
+    /// The planner, with the problem that it solved last.
+    pub fn planner(&self) -> &Planner {
+        &self.planner
+    }
+
     /// Counters.
     pub fn counters(&self) -> &Counters {
         &self.counters
