@@ -3,6 +3,7 @@
 //! Messages arrive on Zenoh's threads and wait in one bounded queue; the planning thread takes them, plans when a robot is due and
 //! publishes. Nothing here waits for a robot.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -10,6 +11,7 @@ use std::time::Duration;
 
 use sphere_protocol::io::bus::{Bus, BusError, Received, Role};
 use sphere_protocol::io::clock::Clock;
+use sphere_protocol::io::histogram::Histogram;
 use sphere_protocol::key::EVERY_UP;
 use sphere_protocol::robot::RobotId;
 use sphere_protocol::time::GroundClock;
@@ -31,6 +33,19 @@ pub struct Setup {
 
 /// Calls back after each step of the station with its core and its clock. Must be quick.
 pub type Watch = Box<dyn FnMut(&Station, Clock<GroundClock>) + Send>;
+
+/// What the planning thread has counted since its start.
+#[derive(Clone, Debug)]
+pub struct Statistics {
+    /// How late robots are served: a planning tick's beginning minus when it was due, to 50 µs.
+    pub lateness: Histogram,
+    /// Messages taken from the network, and their bytes.
+    pub received: [u64; 2],
+    /// Messages handed to it, and their bytes.
+    pub sent: [u64; 2],
+    /// Messages lost because too many waited for the planning thread.
+    pub queue_full: u64,
+}
 
 /// Why a station could not be run, or ended by itself.
 #[derive(Debug, Error)]
@@ -64,6 +79,8 @@ const OPEN_TIMEOUT: Duration = Duration::from_secs(10);
 /// A station that runs, until it is stopped.
 pub struct Running {
     orders: Orders,
+    statistics: Arc<Mutex<Statistics>>,
+    queue_full: Arc<AtomicU64>,
     done: tokio::sync::oneshot::Receiver<()>,
 }
 
@@ -86,18 +103,23 @@ impl Running {
         let core = Station::new(station, clock.now());
         let (queue, incoming) = sync_channel(QUEUE);
         let (ended, done) = tokio::sync::oneshot::channel();
+        let statistics = Arc::new(Mutex::new(Statistics::new()));
+        let queue_full = Arc::<AtomicU64>::default();
         let subscriber = {
-            let queue = queue.clone();
+            let (queue, queue_full) = (queue.clone(), queue_full.clone());
             // Called on Zenoh's threads, which must not wait: what does not fit is lost, and the next telemetry brings it again.
             bus.subscribe(EVERY_UP, move |message| {
-                let _ = queue.try_send(Incoming::Message(message));
+                if queue.try_send(Incoming::Message(message)).is_err() {
+                    queue_full.fetch_add(1, Ordering::Relaxed);
+                }
             })?
         };
         info!(network = %network, "station ready");
+        let counted = statistics.clone();
         thread::Builder::new()
             .name("planning".to_owned())
             .spawn(move || {
-                planning_loop(core, clock, &bus, &incoming, &mut watch);
+                planning_loop(core, clock, &bus, &incoming, &mut watch, &counted);
                 drop(subscriber);
                 bus.close();
                 let _ = ended.send(());
@@ -105,6 +127,8 @@ impl Running {
             .map_err(RunError::Thread)?;
         Ok(Self {
             orders: Orders(queue),
+            statistics,
+            queue_full,
             done,
         })
     }
@@ -112,6 +136,14 @@ impl Running {
     /// Hands orders to the station.
     pub fn orders(&self) -> Orders {
         self.orders.clone()
+    }
+
+    /// What the planning thread has counted so far.
+    pub fn statistics(&self) -> Statistics {
+        Statistics {
+            queue_full: self.queue_full.load(Ordering::Relaxed),
+            ..shown(&self.statistics)
+        }
     }
 
     /// Stops planning. Robots play their last plan to its end, brake and hold.
@@ -150,10 +182,19 @@ fn planning_loop(
     bus: &Bus,
     incoming: &Receiver<Incoming>,
     watch: &mut Option<Watch>,
+    counted: &Shared<Statistics>,
 ) {
     loop {
-        match incoming.recv_timeout(clock.until(station.poll_timeout()).min(IDLE)) {
+        let due = station.poll_timeout();
+        let incoming = incoming.recv_timeout(clock.until(due).min(IDLE));
+        let mut statistics = counted.lock().unwrap_or_else(PoisonError::into_inner);
+        let late = clock.now() - due;
+        if let Ok(late) = u64::try_from(late.as_nanos()) {
+            statistics.lateness.count(Duration::from_nanos(late));
+        }
+        match incoming {
             Ok(Incoming::Message(Received { key, bytes, .. })) => {
+                count(&mut statistics.received, bytes.len());
                 station.handle_input(
                     clock.now(),
                     Input::Message {
@@ -173,6 +214,7 @@ fn planning_loop(
                 Output::Publish {
                     key, qos, bytes, ..
                 } => {
+                    count(&mut statistics.sent, bytes.len());
                     if let Err(error) = bus.publish(&key, qos, &bytes) {
                         debug!(%error, "not published");
                     }
@@ -180,11 +222,32 @@ fn planning_loop(
                 Output::Event { robot, event } => log(robot, &event),
             }
         }
+        drop(statistics);
         if let Some(watch) = watch {
             watch(&station, clock);
         }
     }
 }
+
+fn count([messages, bytes]: &mut [u64; 2], length: usize) {
+    *messages += 1;
+    *bytes += length as u64;
+}
+
+impl Statistics {
+    fn new() -> Self {
+        Self {
+            lateness: Histogram::new(LATENESS_BUCKET, LATENESS_BUCKETS),
+            received: [0; 2],
+            sent: [0; 2],
+            queue_full: 0,
+        }
+    }
+}
+
+/// Lateness: 100 ms in all, a planning period.
+const LATENESS_BUCKET: Duration = Duration::from_micros(50);
+const LATENESS_BUCKETS: usize = 2000;
 
 /// A station without robots still hears that it is to stop.
 const IDLE: Duration = Duration::from_secs(1);
