@@ -1,15 +1,15 @@
 //! The deployed station: the core on a planning thread of its own, and its Zenoh session.
 //!
-//! Messages arrive on Zenoh's threads and wait in one bounded queue; the planning thread takes them, plans when a robot is due and
-//! publishes. Nothing here waits for a robot.
+//! Messages arrive on Zenoh's threads and wait in one bounded inbox, which keeps of each robot's telemetry the newest; the planning
+//! thread takes them, plans when a robot is due and publishes. Nothing here waits for a robot.
 
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+mod inbox;
+
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use sphere_protocol::io::bus::{Bus, BusError, Received, Role};
+use sphere_protocol::io::bus::{Bus, BusError, Role};
 use sphere_protocol::io::clock::Clock;
 use sphere_protocol::io::histogram::Histogram;
 use sphere_protocol::key::EVERY_UP;
@@ -20,6 +20,7 @@ use tokio::sync::mpsc;
 use tracing::{debug, info, warn};
 
 use crate::station::{Event, Input, Order, Output, Station, StationConfig};
+use inbox::{Inbox, Taken};
 
 /// What a station is run with.
 pub struct Setup {
@@ -43,8 +44,10 @@ pub struct Statistics {
     pub received: [u64; 2],
     /// Messages handed to it, and their bytes.
     pub sent: [u64; 2],
+    /// Telemetry messages that were replaced by newer ones before the planning thread took them.
+    pub overtaken: u64,
     /// Messages lost because too many waited for the planning thread.
-    pub queue_full: u64,
+    pub refused: u64,
 }
 
 /// Why a station could not be run, or ended by itself.
@@ -61,26 +64,24 @@ pub enum RunError {
     Died,
 }
 
-/// What happens to the planning thread.
-enum Incoming {
-    Message(Received),
+/// What the planning thread is told from within.
+enum Told {
     Order(RobotId, Order),
     Stop,
 }
 
 /// Hands orders to a running station.
 #[derive(Clone)]
-pub struct Orders(SyncSender<Incoming>);
+pub struct Orders(Inbox<Told>);
 
-/// Messages that wait for the planning thread: 50 robots for more than a second.
-const QUEUE: usize = 4096;
+/// Robots with telemetry, and other messages, that may wait for the planning thread.
+const WAITING: usize = 16_384;
 const OPEN_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// A station that runs, until it is stopped.
 pub struct Running {
     orders: Orders,
     statistics: Arc<Mutex<Statistics>>,
-    queue_full: Arc<AtomicU64>,
     done: tokio::sync::oneshot::Receiver<()>,
 }
 
@@ -101,21 +102,16 @@ impl Running {
             .map_err(|_| RunError::Died)??;
         let clock = Clock::<GroundClock>::start();
         let core = Station::new(station, clock.now());
-        let (queue, incoming) = sync_channel(QUEUE);
+        let inbox = Inbox::new(WAITING);
         let (ended, done) = tokio::sync::oneshot::channel();
         let statistics = Arc::new(Mutex::new(Statistics::new()));
-        let queue_full = Arc::<AtomicU64>::default();
         let subscriber = {
-            let (queue, queue_full) = (queue.clone(), queue_full.clone());
+            let inbox = inbox.clone();
             // Called on Zenoh's threads, which must not wait: what does not fit is lost, and the next telemetry brings it again.
-            bus.subscribe(EVERY_UP, move |message| {
-                if queue.try_send(Incoming::Message(message)).is_err() {
-                    queue_full.fetch_add(1, Ordering::Relaxed);
-                }
-            })?
+            bus.subscribe(EVERY_UP, move |message| inbox.put(message))?
         };
         info!(network = %network, "station ready");
-        let counted = statistics.clone();
+        let (counted, incoming) = (statistics.clone(), inbox.clone());
         thread::Builder::new()
             .name("planning".to_owned())
             .spawn(move || {
@@ -126,9 +122,8 @@ impl Running {
             })
             .map_err(RunError::Thread)?;
         Ok(Self {
-            orders: Orders(queue),
+            orders: Orders(inbox),
             statistics,
-            queue_full,
             done,
         })
     }
@@ -141,7 +136,8 @@ impl Running {
     /// What the planning thread has counted so far.
     pub fn statistics(&self) -> Statistics {
         Statistics {
-            queue_full: self.queue_full.load(Ordering::Relaxed),
+            overtaken: self.orders.0.overtaken(),
+            refused: self.orders.0.refused(),
             ..shown(&self.statistics)
         }
     }
@@ -152,7 +148,7 @@ impl Running {
     /// The planning thread has died before.
     pub async fn stop(self) -> Result<(), RunError> {
         // If the thread is gone the wait below tells.
-        let _ = self.orders.0.try_send(Incoming::Stop);
+        let _ = self.orders.0.tell(Told::Stop);
         self.done.await.map_err(|_| RunError::Died)
     }
 }
@@ -160,7 +156,7 @@ impl Running {
 impl Orders {
     /// Gives `order` to `robot`. `false` if the station has ended or is hopelessly behind.
     pub fn give(&self, robot: RobotId, order: Order) -> bool {
-        self.0.try_send(Incoming::Order(robot, order)).is_ok()
+        self.0.tell(Told::Order(robot, order))
     }
 }
 
@@ -180,20 +176,20 @@ fn planning_loop(
     mut station: Station,
     clock: Clock<GroundClock>,
     bus: &Bus,
-    incoming: &Receiver<Incoming>,
+    incoming: &Inbox<Told>,
     watch: &mut Option<Watch>,
     counted: &Shared<Statistics>,
 ) {
     loop {
         let due = station.poll_timeout();
-        let incoming = incoming.recv_timeout(clock.until(due).min(IDLE));
+        let taken = incoming.take(clock.until(due).min(IDLE));
         let mut statistics = counted.lock().unwrap_or_else(PoisonError::into_inner);
         let late = clock.now() - due;
         if let Ok(late) = u64::try_from(late.as_nanos()) {
             statistics.lateness.count(Duration::from_nanos(late));
         }
-        match incoming {
-            Ok(Incoming::Message(Received { key, bytes, .. })) => {
+        match taken {
+            Some(Taken::Message(key, bytes)) => {
                 count(&mut statistics.received, bytes.len());
                 station.handle_input(
                     clock.now(),
@@ -203,11 +199,11 @@ fn planning_loop(
                     },
                 );
             }
-            Ok(Incoming::Order(robot, order)) => {
+            Some(Taken::Own(Told::Order(robot, order))) => {
                 station.handle_input(clock.now(), Input::Order { robot, order })
             }
-            Ok(Incoming::Stop) | Err(RecvTimeoutError::Disconnected) => return,
-            Err(RecvTimeoutError::Timeout) => station.handle_input(clock.now(), Input::Timeout),
+            Some(Taken::Own(Told::Stop)) => return,
+            None => station.handle_input(clock.now(), Input::Timeout),
         }
         while let Some(output) = station.poll_output() {
             match output {
@@ -240,7 +236,8 @@ impl Statistics {
             lateness: Histogram::new(LATENESS_BUCKET, LATENESS_BUCKETS),
             received: [0; 2],
             sent: [0; 2],
-            queue_full: 0,
+            overtaken: 0,
+            refused: 0,
         }
     }
 }

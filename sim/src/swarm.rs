@@ -116,7 +116,7 @@ pub fn run(
     mut tell: impl FnMut(&str),
 ) -> Result<SwarmReport, SwarmError> {
     let clock = Stoppable { stops };
-    let scenario = scenario(options.robots, options.seed)?;
+    let scenario = scenario(options.robots, options.seed, options.telemetry_ms)?;
     let idle = Idle::start().map_err(SwarmError::Thread)?;
     tell("Measuring the idle machine.");
     clock.pause(IDLE)?;
@@ -183,15 +183,15 @@ pub fn run(
 /// Robots r1, r2, ... of the real environment, each at the beginning of its own circle about the origin.
 ///
 /// # Errors
-/// No robot at all.
-pub fn scenario(robots: usize, seed: u64) -> Result<Scenario, ScenarioError> {
+/// No robot at all; a telemetry period that cannot be.
+pub fn scenario(robots: usize, seed: u64, telemetry_ms: u32) -> Result<Scenario, ScenarioError> {
     let mut text = format!("seed = {seed}\n");
     for robot in 0..robots {
         let radius = SMALLEST_M + SPACING_M * robot as f64;
         // Writing to a String cannot fail.
         let _ = write!(
             text,
-            "[[robots]]\nid = \"r{}\"\nstart = {{ x_m = {radius:.1}, heading_deg = 90.0 }}\nmission = {{ kind = \"circle\", radius_m = {radius:.1}, speed_mps = {SPEED_MPS:.1} }}\n",
+            "[[robots]]\nid = \"r{}\"\nstart = {{ x_m = {radius:.1}, heading_deg = 90.0 }}\ntelemetry_ms = {telemetry_ms}\nmission = {{ kind = \"circle\", radius_m = {radius:.1}, speed_mps = {SPEED_MPS:.1} }}\n",
             robot + 1
         );
     }

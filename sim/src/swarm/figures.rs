@@ -239,8 +239,10 @@ impl Measured<'_> {
                 let count = u64::from(last.dropped[i] - first.dropped[i]);
                 add(format!("station: {reason}"), count);
             }
-            let full = last.queue_full - first.queue_full;
-            add("station: queue full".to_owned(), full);
+            let overtaken = last.overtaken - first.overtaken;
+            add("station: telemetry overtaken".to_owned(), overtaken);
+            let refused = last.refused - first.refused;
+            add("station: inbox full".to_owned(), refused);
         }
         // Handed to the network at one end, and not there at the other: what Zenoh dropped, and what is under way.
         let sum = |marks: &Marks, which: fn(&AgentMark) -> u64| -> u64 {

@@ -113,7 +113,8 @@ pub(super) struct StationMark {
     pub(super) lateness: Sparse,
     pub(super) received: [u64; 2],
     pub(super) sent: [u64; 2],
-    pub(super) queue_full: u64,
+    pub(super) overtaken: u64,
+    pub(super) refused: u64,
 }
 
 #[derive(Debug, Serialize, Deserialize)]

@@ -10,7 +10,7 @@ use sphere_protocol::io::bus::Role;
 use sphere_protocol::io::link::UdpLink;
 use sphere_protocol::message::Mode;
 use sphere_protocol::robot::RobotId;
-use sphere_protocol::time::{Instant, Span};
+use sphere_protocol::time::Instant;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
@@ -29,7 +29,7 @@ struct LiveAgent {
 }
 
 pub(super) async fn run(setup: &PartSetup, mut asks: Asks) -> anyhow::Result<()> {
-    let scenario = scenario(setup.robots, setup.seed)?;
+    let scenario = scenario(setup.robots, setup.seed, setup.telemetry_ms)?;
     let (sockets, addresses) = bind(setup.last - setup.first)?;
     say(&Answer::Bound(addresses))?;
     let Some((boards, Some(router))) = begin(&mut asks).await else {
@@ -38,15 +38,13 @@ pub(super) async fn run(setup: &PartSetup, mut asks: Asks) -> anyhow::Result<()>
     let mut agents = Vec::new();
     let mine = scenario.robots[setup.first..setup.last].iter();
     for ((robot, socket), board) in mine.zip(sockets).zip(boards) {
-        let mut config = agent_config(robot, fresh_id());
-        config.timing.telemetry = Span::from_millis(i64::from(setup.telemetry_ms));
         let shown = Arc::new(Mutex::new(Snapshot {
             statistics: Some(Box::new(Statistics::new())),
             ..Snapshot::default()
         }));
         let (stop, stopped) = mpsc::channel(2);
         let agent = Setup {
-            agent: config,
+            agent: agent_config(robot, fresh_id()),
             link: UdpLink::pinned(socket, board)?,
             network: Role::Client {
                 connect: vec![format!("tcp/{router}")],

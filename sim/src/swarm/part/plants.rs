@@ -12,7 +12,7 @@ use crate::swarm::message::{Answer, Ask, Mark, PartSetup, PlantsMark, TruthMark}
 use crate::swarm::scenario;
 
 pub(super) async fn run(setup: &PartSetup, mut asks: Asks) -> anyhow::Result<()> {
-    let scenario = scenario(setup.robots, setup.seed)?;
+    let scenario = scenario(setup.robots, setup.seed, setup.telemetry_ms)?;
     let (sockets, addresses) = bind(setup.robots)?;
     say(&Answer::Bound(addresses))?;
     let Some((agents, _)) = begin(&mut asks).await else {

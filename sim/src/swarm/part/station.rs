@@ -35,7 +35,7 @@ struct Told {
 }
 
 pub(super) async fn run(setup: &PartSetup, mut asks: Asks) -> anyhow::Result<()> {
-    let scenario = scenario(setup.robots, setup.seed)?;
+    let scenario = scenario(setup.robots, setup.seed, setup.telemetry_ms)?;
     let ids: Vec<_> = scenario.robots.iter().map(|robot| robot.id).collect();
     let wish = Arc::<Mutex<Wish>>::default();
     let mut attempts = 0;
@@ -85,7 +85,8 @@ pub(super) async fn run(setup: &PartSetup, mut asks: Asks) -> anyhow::Result<()>
                 lateness: statistics.lateness.sparse(),
                 received: statistics.received,
                 sent: statistics.sent,
-                queue_full: statistics.queue_full,
+                overtaken: statistics.overtaken,
+                refused: statistics.refused,
             }))))?;
         }
     }
