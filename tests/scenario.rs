@@ -218,6 +218,10 @@ fn every_refusal_names_file_line_key_value_and_remedy() {
             "demo.toml:1: duration_s = 0: it must be greater than 0 and finite",
         ),
         (
+            robot("telemetry_ms = 50"),
+            "demo.toml:3: robots.0.telemetry_ms = 50: it must be a multiple of the control period of 20 ms",
+        ),
+        (
             "[sensing]\nnoise = -1.0".to_owned(),
             "demo.toml:2: sensing.noise = -1.0: it must be from 0 to 1000",
         ),

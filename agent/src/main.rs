@@ -343,12 +343,12 @@ fn print_report(report: &Report, format: LogFormat) {
     let [p50, p99, max] = [
         late.quantile(0.5),
         late.quantile(0.99),
-        (late.steps() > 0).then_some(late.max()),
+        (late.total() > 0).then_some(late.max()),
     ];
     if format == LogFormat::Json {
         let ms = |duration: Option<Duration>| duration.map(|d| d.as_secs_f64() * 1e3);
         info!(
-            control_steps = late.steps(),
+            control_steps = late.total(),
             late_p50_ms = ms(p50),
             late_p99_ms = ms(p99),
             late_max_ms = ms(max),
@@ -362,7 +362,7 @@ fn print_report(report: &Report, format: LogFormat) {
     }
     eprintln!(
         "sphere-agent: {} control steps, late by p50 {} ms, p99 {} ms, max {} ms; messages dropped: {drops}; {} frames of the board, {} refused, {} cut off",
-        late.steps(),
+        late.total(),
         ms(p50),
         ms(p99),
         ms(max),

@@ -10,6 +10,7 @@
 
 pub mod drive;
 pub mod record;
+pub mod statistics;
 
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
@@ -18,6 +19,7 @@ use std::time::Duration;
 
 use sphere_protocol::io::bus::{Bus, Declared, Inbox, Role};
 use sphere_protocol::io::clock::Clock;
+use sphere_protocol::io::histogram::Histogram;
 use sphere_protocol::io::link::{DATAGRAM_MAX, UdpLink};
 use sphere_protocol::io::real_time;
 use sphere_protocol::key::{Key, every};
@@ -33,6 +35,7 @@ use crate::config::AgentConfig;
 use crate::gains::GainsError;
 use crate::mode::Reason;
 use record::Recorder;
+use statistics::Statistics;
 
 /// What an agent is run with.
 pub struct Setup {
@@ -61,8 +64,8 @@ pub struct Snapshot {
     pub stepped: Instant<AgentClock>,
     /// Its clock, by which a reader in the same process can tell the time as it does; `None` before its first control step.
     pub clock: Option<Clock<AgentClock>>,
-    /// How late its control steps begin.
-    pub lateness: Lateness,
+    /// What it has counted, renewed five times a second; `None`, as at first, if the reader has no use for it.
+    pub statistics: Option<Box<Statistics>>,
     /// The newest plan that it received.
     pub newest_plan: Option<PlanId>,
     /// Arrival of that plan minus the stamp of the telemetry it was computed from.
@@ -80,7 +83,7 @@ impl Default for Snapshot {
             signals: Signals::default(),
             stepped: Instant::from_nanos(0),
             clock: None,
-            lateness: Lateness::default(),
+            statistics: None,
             newest_plan: None,
             loop_delay: None,
             plans_begun: 0,
@@ -88,19 +91,11 @@ impl Default for Snapshot {
     }
 }
 
-/// How late control steps begin, counted in a histogram of fixed size.
-#[derive(Clone, Debug)]
-pub struct Lateness {
-    counts: [u32; BUCKETS],
-    total: u32,
-    max: Duration,
-}
-
 /// What a run amounted to.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Report {
     /// How late control steps began.
-    pub lateness: Lateness,
+    pub lateness: Histogram,
     /// Messages and frames dropped, by [`DropReason`].
     pub dropped: [u32; DropReason::COUNT],
     /// Frames of the motor board: those taken, and those dropped, by reason.
@@ -142,15 +137,14 @@ enum Outgoing {
 /// What the shell asks of the control thread: how often it was told to stop.
 type Stops = Arc<AtomicU32>;
 
-/// Histogram of lateness: 25 µs a bucket up to 25 ms.
-const BUCKETS: usize = 1000;
-const BUCKET: Duration = Duration::from_micros(25);
 /// Messages that wait for the control thread: a second of plans and commands.
 const INBOX: usize = 32;
 /// Datagrams taken at once: more than a socket's buffer holds of ours by default, and no flood keeps a step waiting for long.
 const DATAGRAMS_MAX: usize = 512;
 /// Messages that wait for Zenoh.
 const OUTBOX: usize = 256;
+/// Control steps between two renewals of the statistics that are shown: 0.2 s.
+const STATISTICS_STEPS: u64 = 10;
 /// How long one attempt to reach the router may take.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
 /// Pause between attempts.
@@ -276,7 +270,7 @@ fn control_loop(
         recorder,
     } = joined;
     let mut buffer = [0; DATAGRAM_MAX];
-    let mut lateness = Lateness::default();
+    let mut statistics = Statistics::new();
     let mut stops_seen = 0;
     loop {
         let due = agent.poll_timeout();
@@ -303,6 +297,7 @@ fn control_loop(
                     bytes: &message.bytes,
                 },
             );
+            statistics.on_message(&agent, message.bytes.len());
         }
         let asked = stops.load(Ordering::Relaxed);
         if asked > stops_seen {
@@ -319,8 +314,8 @@ fn control_loop(
         let now = clock.now();
         let stepped = now >= due;
         if stepped {
-            lateness.count((now - due).as_nanos());
             agent.handle_input(now, Input::Timeout);
+            statistics.on_step(&agent, due, now);
         }
         let mut ended = false;
         while let Some(output) = agent.poll_output() {
@@ -337,13 +332,17 @@ fn control_loop(
                     qos,
                     bytes,
                 } => {
-                    // A full outbox means a stuck network: the newest state will come again.
-                    let _ = outgoing.try_send(Outgoing::Publish {
+                    statistics.sent.count(bytes.len());
+                    let publish = Outgoing::Publish {
                         direction,
                         topic,
                         qos,
                         bytes,
-                    });
+                    };
+                    // A full outbox means a stuck network: the newest state will come again.
+                    if outgoing.try_send(publish).is_err() {
+                        statistics.outbox_full = statistics.outbox_full.saturating_add(1);
+                    }
                 }
                 Output::Event(event) => {
                     ended |= event == Event::Ended;
@@ -358,7 +357,12 @@ fn control_loop(
             shown.signals = *agent.signals();
             shown.stepped = now;
             shown.clock = Some(clock);
-            shown.lateness.clone_from(&lateness);
+            if let Some(shown) = &mut shown.statistics
+                && statistics.steps().is_multiple_of(STATISTICS_STEPS)
+            {
+                statistics.inbox_full = inbox.dropped();
+                shown.copy_from(&statistics);
+            }
             let playback = agent.playback();
             shown.newest_plan = playback.newest();
             shown.loop_delay = playback.loop_delay();
@@ -366,7 +370,7 @@ fn control_loop(
         }
         if ended {
             return Ok(Report {
-                lateness,
+                lateness: statistics.lateness,
                 dropped: *agent.dropped(),
                 frames: *agent.frames(),
             });
@@ -427,50 +431,5 @@ fn log(id: &sphere_protocol::robot::RobotId, event: &Event) {
         Event::Incompatible(error) => warn!(robot = %id, %error, "incompatible: messages dropped"),
         Event::Dropped(reason) => debug!(robot = %id, ?reason, "dropped"),
         Event::Ended => info!(robot = %id, "at rest, torque zero"),
-    }
-}
-
-impl Lateness {
-    fn count(&mut self, ns: i64) {
-        let late = Duration::from_nanos(u64::try_from(ns).unwrap_or(0));
-        let bucket = (late.as_nanos() / BUCKET.as_nanos()) as usize;
-        self.counts[bucket.min(BUCKETS - 1)] += 1;
-        self.total += 1;
-        self.max = self.max.max(late);
-    }
-
-    /// The lateness that a share `p` of the steps did not exceed, to 25 µs; `None` before the first step.
-    pub fn quantile(&self, p: f64) -> Option<Duration> {
-        let rank = (p * f64::from(self.total)).ceil() as u32;
-        let mut seen = 0;
-        let bucket = self.counts.iter().position(|count| {
-            seen += count;
-            seen >= rank.max(1)
-        })?;
-        Some(if bucket + 1 == BUCKETS {
-            self.max
-        } else {
-            BUCKET * (bucket as u32 + 1)
-        })
-    }
-
-    /// The worst.
-    pub fn max(&self) -> Duration {
-        self.max
-    }
-
-    /// How many steps there were.
-    pub fn steps(&self) -> u32 {
-        self.total
-    }
-}
-
-impl Default for Lateness {
-    fn default() -> Self {
-        Self {
-            counts: [0; BUCKETS],
-            total: 0,
-            max: Duration::ZERO,
-        }
     }
 }

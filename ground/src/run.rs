@@ -1,18 +1,19 @@
 //! The deployed station: the core on a planning thread of its own, and its Zenoh session.
 //!
-//! Messages arrive on Zenoh's threads and wait in one bounded queue; the planning thread takes them, plans when a robot is due and
-//! publishes. Nothing here waits for a robot.
+//! Messages arrive on Zenoh's threads and wait in one bounded inbox, which keeps of each robot's telemetry the newest; the planning
+//! thread takes them, plans when a robot is due and publishes. Nothing here waits for a robot.
 
+mod inbox;
 mod pool;
 
 use std::num::NonZero;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use sphere_protocol::io::bus::{Bus, BusError, Received, Role};
+use sphere_protocol::io::bus::{Bus, BusError, Role};
 use sphere_protocol::io::clock::Clock;
+use sphere_protocol::io::histogram::Histogram;
 use sphere_protocol::key::EVERY_UP;
 use sphere_protocol::robot::RobotId;
 use sphere_protocol::time::GroundClock;
@@ -22,6 +23,7 @@ use tracing::{debug, info, warn};
 
 pub use self::pool::Pool;
 use crate::station::{Event, Input, Order, Output, Station, StationConfig};
+use inbox::{Inbox, Taken};
 
 /// What a station is run with.
 pub struct Setup {
@@ -37,6 +39,21 @@ pub struct Setup {
 
 /// Calls back after each step of the station with its core and its clock. Must be quick.
 pub type Watch = Box<dyn FnMut(&Station, Clock<GroundClock>) + Send>;
+
+/// What the planning thread has counted since its start.
+#[derive(Clone, Debug)]
+pub struct Statistics {
+    /// How late robots are served: a planning tick's beginning minus when it was due, to 50 µs.
+    pub lateness: Histogram,
+    /// Messages taken from the network, and their bytes.
+    pub received: [u64; 2],
+    /// Messages handed to it, and their bytes.
+    pub sent: [u64; 2],
+    /// Telemetry messages that were replaced by newer ones before the planning thread took them.
+    pub overtaken: u64,
+    /// Messages lost because too many waited for the planning thread.
+    pub refused: u64,
+}
 
 /// Why a station could not be run, or ended by itself.
 #[derive(Debug, Error)]
@@ -55,24 +72,24 @@ pub enum RunError {
     Died,
 }
 
-/// What happens to the planning thread.
-enum Incoming {
-    Message(Received),
+/// What the planning thread is told from within.
+enum Told {
     Order(RobotId, Order),
     Stop,
 }
 
 /// Hands orders to a running station.
 #[derive(Clone)]
-pub struct Orders(SyncSender<Incoming>);
+pub struct Orders(Inbox<Told>);
 
-/// Messages that wait for the planning thread: 50 robots for more than a second.
-const QUEUE: usize = 4096;
+/// Robots with telemetry, and other messages, that may wait for the planning thread.
+const WAITING: usize = 16_384;
 const OPEN_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// A station that runs, until it is stopped.
 pub struct Running {
     orders: Orders,
+    statistics: Arc<Mutex<Statistics>>,
     done: tokio::sync::oneshot::Receiver<()>,
 }
 
@@ -95,27 +112,28 @@ impl Running {
         let clock = Clock::<GroundClock>::start();
         let pool = Pool::new(threads)?;
         let core = Station::with_workers(station, clock.now(), Box::new(pool));
-        let (queue, incoming) = sync_channel(QUEUE);
+        let inbox = Inbox::new(WAITING);
         let (ended, done) = tokio::sync::oneshot::channel();
+        let statistics = Arc::new(Mutex::new(Statistics::new()));
         let subscriber = {
-            let queue = queue.clone();
+            let inbox = inbox.clone();
             // Called on Zenoh's threads, which must not wait: what does not fit is lost, and the next telemetry brings it again.
-            bus.subscribe(EVERY_UP, move |message| {
-                let _ = queue.try_send(Incoming::Message(message));
-            })?
+            bus.subscribe(EVERY_UP, move |message| inbox.put(message))?
         };
         info!(network = %network, "station ready");
+        let (counted, incoming) = (statistics.clone(), inbox.clone());
         thread::Builder::new()
             .name("planning".to_owned())
             .spawn(move || {
-                planning_loop(core, clock, &bus, &incoming, &mut watch);
+                planning_loop(core, clock, &bus, &incoming, &mut watch, &counted);
                 drop(subscriber);
                 bus.close();
                 let _ = ended.send(());
             })
             .map_err(RunError::Thread)?;
         Ok(Self {
-            orders: Orders(queue),
+            orders: Orders(inbox),
+            statistics,
             done,
         })
     }
@@ -125,13 +143,22 @@ impl Running {
         self.orders.clone()
     }
 
+    /// What the planning thread has counted so far.
+    pub fn statistics(&self) -> Statistics {
+        Statistics {
+            overtaken: self.orders.0.overtaken(),
+            refused: self.orders.0.refused(),
+            ..shown(&self.statistics)
+        }
+    }
+
     /// Stops planning. Robots play their last plan to its end, brake and hold.
     ///
     /// # Errors
     /// The planning thread has died before.
     pub async fn stop(self) -> Result<(), RunError> {
         // If the thread is gone the wait below tells.
-        let _ = self.orders.0.try_send(Incoming::Stop);
+        let _ = self.orders.0.tell(Told::Stop);
         self.done.await.map_err(|_| RunError::Died)
     }
 }
@@ -139,7 +166,7 @@ impl Running {
 impl Orders {
     /// Gives `order` to `robot`. `false` if the station has ended or is hopelessly behind.
     pub fn give(&self, robot: RobotId, order: Order) -> bool {
-        self.0.try_send(Incoming::Order(robot, order)).is_ok()
+        self.0.tell(Told::Order(robot, order))
     }
 }
 
@@ -159,37 +186,44 @@ fn planning_loop(
     mut station: Station,
     clock: Clock<GroundClock>,
     bus: &Bus,
-    incoming: &Receiver<Incoming>,
+    incoming: &Inbox<Told>,
     watch: &mut Option<Watch>,
+    counted: &Shared<Statistics>,
 ) {
     loop {
+        let due = station.poll_timeout();
+        let mut taken = incoming.take(clock.until(due).min(IDLE));
+        let mut statistics = counted.lock().unwrap_or_else(PoisonError::into_inner);
         // All that waits first: plans are made from the newest that is known.
-        let mut next = incoming.recv_timeout(clock.until(station.poll_timeout()).min(IDLE));
-        for _ in 0..QUEUE {
-            match next {
-                Ok(Incoming::Message(Received { key, bytes, .. })) => {
+        for _ in 0..WAITING {
+            match taken {
+                Some(Taken::Message(key, bytes)) => {
+                    count(&mut statistics.received, bytes.len());
                     let (key, bytes) = (&*key, &*bytes);
                     station.handle_input(clock.now(), Input::Message { key, bytes });
                 }
-                Ok(Incoming::Order(robot, order)) => {
+                Some(Taken::Own(Told::Order(robot, order))) => {
                     station.handle_input(clock.now(), Input::Order { robot, order });
                 }
-                Ok(Incoming::Stop) | Err(RecvTimeoutError::Disconnected) => return,
-                Err(RecvTimeoutError::Timeout) => break,
+                Some(Taken::Own(Told::Stop)) => return,
+                None => break,
             }
-            next = incoming.try_recv().map_err(|error| match error {
-                TryRecvError::Empty => RecvTimeoutError::Timeout,
-                TryRecvError::Disconnected => RecvTimeoutError::Disconnected,
-            });
+            taken = incoming.take(Duration::ZERO);
         }
-        if station.poll_timeout() <= clock.now() {
-            station.handle_input(clock.now(), Input::Timeout);
+        let now = clock.now();
+        if station.poll_timeout() <= now {
+            let late = now - station.poll_timeout();
+            if let Ok(late) = u64::try_from(late.as_nanos()) {
+                statistics.lateness.count(Duration::from_nanos(late));
+            }
+            station.handle_input(now, Input::Timeout);
         }
         while let Some(output) = station.poll_output() {
             match output {
                 Output::Publish {
                     key, qos, bytes, ..
                 } => {
+                    count(&mut statistics.sent, bytes.len());
                     if let Err(error) = bus.publish(&key, qos, &bytes) {
                         debug!(%error, "not published");
                     }
@@ -202,11 +236,33 @@ fn planning_loop(
                 Output::Overload { .. } => info!("planning is in time again"),
             }
         }
+        drop(statistics);
         if let Some(watch) = watch {
             watch(&station, clock);
         }
     }
 }
+
+fn count([messages, bytes]: &mut [u64; 2], length: usize) {
+    *messages += 1;
+    *bytes += length as u64;
+}
+
+impl Statistics {
+    fn new() -> Self {
+        Self {
+            lateness: Histogram::new(LATENESS_BUCKET, LATENESS_BUCKETS),
+            received: [0; 2],
+            sent: [0; 2],
+            overtaken: 0,
+            refused: 0,
+        }
+    }
+}
+
+/// Lateness: 100 ms in all, a planning period.
+const LATENESS_BUCKET: Duration = Duration::from_micros(50);
+const LATENESS_BUCKETS: usize = 2000;
 
 /// A station without robots still hears that it is to stop.
 const IDLE: Duration = Duration::from_secs(1);

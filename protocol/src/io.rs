@@ -3,6 +3,7 @@
 
 pub mod bus;
 pub mod clock;
+pub mod histogram;
 pub mod link;
 pub mod log;
 pub mod real_time;

@@ -32,6 +32,7 @@ use crate::scenario::{Scenario, ScenarioError};
 use crate::trace::{ROW_PERIOD, Row, Trace, mode_name};
 pub use display::Display;
 use fleet::Fleet;
+pub(crate) use fleet::fresh_id;
 pub use verdict::{RMSE_MAX, Verdict, summary, verdicts};
 
 /// How the demo is to go.
@@ -278,7 +279,7 @@ pub async fn perform(
             .zip(links)
             .map(|((id, report), (up, down))| LiveRobotMetrics {
                 id: id.to_string(),
-                control_steps: report.lateness.steps(),
+                control_steps: report.lateness.total(),
                 control_lateness_p50_s: report.lateness.quantile(0.5).map(|d| d.as_secs_f64()),
                 control_lateness_p99_s: report.lateness.quantile(0.99).map(|d| d.as_secs_f64()),
                 control_lateness_max_s: report.lateness.max().as_secs_f64(),

@@ -124,6 +124,8 @@ struct Shared {
 
 struct Live {
     body: Body,
+    /// What is periodic happens this much earlier than at whole periods.
+    phase: Span,
     fix_period: Option<Span>,
     link: UdpLink,
     mirror: Option<Mirror>,
@@ -144,9 +146,13 @@ impl Plants {
         let shared = Arc::new(Shared::default());
         let bodies: Vec<_> = setups
             .into_iter()
-            .map(|setup| {
+            .enumerate()
+            .map(|(index, setup)| {
                 let body = Body::new(setup.body, setup.random);
+                // Boards are not in step with each other: their frames leave in different steps, not all agents are woken at once.
+                let steps = Sensors::INTERVAL.as_nanos() / STEP.as_nanos();
                 Live {
+                    phase: Span::from_nanos(STEP.as_nanos() * (index as i64 % steps)),
                     truths: Truths::starting(truth(&body, origin, Span::ZERO)),
                     body,
                     fix_period: setup.fix_period,
@@ -358,7 +364,8 @@ impl Live {
             self.body.receive(bytes);
         }
         self.body.advance(elapsed);
-        let is_due = |period: Span| elapsed.as_nanos() % period.as_nanos() < STEP.as_nanos();
+        let phased = (elapsed + self.phase).as_nanos();
+        let is_due = |period: Span| phased % period.as_nanos() < STEP.as_nanos();
         if is_due(BOARD_HEARTBEAT) {
             let frame = self.body.heartbeat();
             self.send(&frame)?;

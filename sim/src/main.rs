@@ -4,6 +4,8 @@ use std::io::{IsTerminal, Write};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Instant;
 
 use anyhow::Context;
@@ -14,6 +16,7 @@ use sphere_sim::live::Ports;
 use sphere_sim::paper::{self, Experiment};
 use sphere_sim::run::{Run, run};
 use sphere_sim::scenario::Scenario;
+use sphere_sim::swarm::{self, SwarmReport};
 use sphere_sim::{output, plants_command, plot, report, robustness};
 
 /// The fleet against simulated robots and a network that delays and loses: live, or in virtual time. Without a subcommand: the demo.
@@ -38,6 +41,11 @@ enum Command {
     Robustness(RobustnessArgs),
     /// Run plants in real time behind MAVLink over UDP, until Ctrl-C
     Plants(PlantsArgs),
+    /// Run many robots live on this machine, each part in processes of its own, and measure what they cost and how late they are
+    Swarm(SwarmArgs),
+    /// One process of a swarm
+    #[command(hide = true)]
+    SwarmPart,
 }
 
 #[derive(Args)]
@@ -113,6 +121,46 @@ struct PlantsArgs {
 }
 
 #[derive(Args)]
+struct SwarmArgs {
+    /// How many robots
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=5000))]
+    robots: u64,
+    /// Spread the agents over this many processes
+    #[arg(long, value_name = "P", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    processes: u64,
+    /// How long to measure, from 10 s after all robots track [s]
+    #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = seconds)]
+    duration: f64,
+    /// Delay injected each way between station and agents [ms]; with neither delay nor jitter there is no relay
+    #[arg(long, value_name = "MS", default_value_t = 100.0, value_parser = milliseconds)]
+    delay_ms: f64,
+    /// Standard deviation of that delay [ms]
+    #[arg(long, value_name = "MS", default_value_t = 0.0, value_parser = milliseconds)]
+    jitter_ms: f64,
+    /// Time between two telemetry messages of a robot, a multiple of 20 [ms]
+    #[arg(long, value_name = "MS", default_value_t = 40, value_parser = telemetry_period)]
+    telemetry_ms: u32,
+    /// By how much plans may be older at arrival than the injected delay makes them, at p99 [ms]
+    #[arg(long, value_name = "MS", default_value_t = 30.0, value_parser = milliseconds)]
+    bound_ms: f64,
+    /// Seed of sensor noise and jitter
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Write swarm-N.json into this folder; with --plot, swarm.svg and swarm.md
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Print the figures as JSON, and nothing else, on standard output
+    #[arg(long)]
+    json: bool,
+    /// Run nothing: draw the runs of these files as swarm.svg, with their tables and what follows for larger fleets as swarm.md
+    #[arg(long, value_name = "SWARM-N.JSON", num_args = 1.., requires = "out", conflicts_with_all = ["robots", "processes", "duration", "json"])]
+    plot: Vec<PathBuf>,
+    /// Log what every part does to standard error; RUST_LOG chooses more finely
+    #[arg(short, long)]
+    verbose: bool,
+}
+
+#[derive(Args)]
 struct DemoArgs {
     /// How long the robots roll [s]
     #[arg(long, value_name = "S", default_value_t = 60.0)]
@@ -150,6 +198,12 @@ fn main() -> ExitCode {
         Some(Command::Paper(args)) => run_paper(&args),
         Some(Command::Robustness(args)) => run_robustness(&args),
         Some(Command::Plants(args)) => run_plants(&args),
+        Some(Command::Swarm(args)) if args.plot.is_empty() => run_swarm(&args),
+        Some(Command::Swarm(args)) => plot_swarms(&args),
+        Some(Command::SwarmPart) => {
+            start_log(std::env::var_os(swarm::VERBOSE).is_some());
+            swarm::run_part().map(|()| Outcome::Held)
+        }
         Some(Command::Demo(args)) => run_demo(&args),
         None => run_demo(&cli.demo),
     };
@@ -393,6 +447,121 @@ fn run_plants(args: &PlantsArgs) -> anyhow::Result<Outcome> {
     let pace = served.plants.stop()?;
     eprintln!("{}", plants_command::pace_sentence(pace));
     Ok(Outcome::Held)
+}
+
+fn run_swarm(args: &SwarmArgs) -> anyhow::Result<Outcome> {
+    start_log(args.verbose);
+    let cannot_write = |folder: &Path| {
+        let folder = folder.display();
+        format!("cannot write {folder}; choose another folder with --out")
+    };
+    if let Some(folder) = &args.out {
+        // Rather now than after minutes.
+        std::fs::create_dir_all(folder).with_context(|| cannot_write(folder))?;
+    }
+    let options = swarm::Options {
+        robots: usize::try_from(args.robots)?,
+        processes: usize::try_from(args.processes)?,
+        duration_s: args.duration,
+        delay_ms: args.delay_ms,
+        jitter_ms: args.jitter_ms,
+        telemetry_ms: args.telemetry_ms,
+        seed: args.seed,
+        bound_ms: args.bound_ms,
+        is_verbose: args.verbose,
+    };
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(1)
+        .enable_all()
+        .build()?;
+    let stops = Arc::<AtomicU32>::default();
+    let counted = stops.clone();
+    runtime.block_on(async {
+        let mut asked = terminations()?;
+        tokio::spawn(async move {
+            while asked.recv().await.is_some() {
+                counted.fetch_add(1, Ordering::Relaxed);
+            }
+        });
+        Ok::<_, std::io::Error>(())
+    })?;
+    let report = match swarm::run(&options, &stops, |line| eprintln!("{line}")) {
+        Ok(report) => report,
+        Err(swarm::SwarmError::Interrupted) => {
+            eprintln!("sphere-sim: {}", swarm::SwarmError::Interrupted);
+            return Ok(Outcome::Broken);
+        }
+        Err(error) => return Err(error.into()),
+    };
+    if let Some(folder) = &args.out {
+        let file = folder.join(format!("swarm-{}.json", report.robots));
+        std::fs::write(file, report.json()).with_context(|| cannot_write(folder))?;
+    }
+    let mut stdout = std::io::stdout().lock();
+    if args.json {
+        write!(stdout, "{}", report.json())?;
+    } else {
+        let colour = stdout.is_terminal();
+        write!(stdout, "\n{}", swarm::summary(&report, colour))?;
+    }
+    Ok(if report.held() {
+        Outcome::Held
+    } else {
+        Outcome::Broken
+    })
+}
+
+fn plot_swarms(args: &SwarmArgs) -> anyhow::Result<Outcome> {
+    let mut reports = Vec::new();
+    for path in &args.plot {
+        let file = path.display();
+        let text = std::fs::read_to_string(path).with_context(|| format!("--plot {file}"))?;
+        let report: SwarmReport = serde_json::from_str(&text)
+            .with_context(|| format!("--plot {file}: not what `sphere-sim swarm --out` writes"))?;
+        reports.push(report);
+    }
+    reports.sort_by_key(|report| report.robots);
+    let mut page = swarm::markdown(&reports);
+    match swarm::computed(&reports) {
+        Ok(computed) => page.push_str(&format!("\n{computed}")),
+        Err(why) => eprintln!("Nothing is computed for larger fleets: {why}"),
+    }
+    let folder = args.out.as_deref().unwrap_or(Path::new("."));
+    let write = |name: &str, text: &str| {
+        std::fs::create_dir_all(folder)?;
+        std::fs::write(folder.join(name), text)
+    };
+    for (name, text) in [("swarm.svg", &swarm::svg(&reports)?), ("swarm.md", &page)] {
+        write(name, text).with_context(|| {
+            let folder = folder.display();
+            format!("cannot write {folder}; choose another folder with --out")
+        })?;
+    }
+    print!("{page}");
+    Ok(Outcome::Held)
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(seconds) if (1.0..=1e6).contains(&seconds) => Ok(seconds),
+        _ => Err("write seconds, 1 or more, as in 60".to_owned()),
+    }
+}
+
+fn milliseconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(milliseconds) if (0.0..=1e4).contains(&milliseconds) => Ok(milliseconds),
+        _ => Err("write milliseconds from 0 to 10000, as in 100".to_owned()),
+    }
+}
+
+fn telemetry_period(text: &str) -> Result<u32, String> {
+    match text.parse() {
+        Ok(ms @ 20..=1000) if ms % 20 == 0 => Ok(ms),
+        _ => {
+            Err("write a multiple of the control period of 20 ms, as in 40, up to 1000".to_owned())
+        }
+    }
 }
 
 /// Ctrl-C and the polite kill, each time they come.

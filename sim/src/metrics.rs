@@ -98,7 +98,7 @@ pub struct LiveRobotMetrics {
     /// Its id.
     pub id: String,
     /// Control steps.
-    pub control_steps: u32,
+    pub control_steps: u64,
     /// Median lateness of a control step [s].
     pub control_lateness_p50_s: Option<f64>,
     /// 99 % quantile of that lateness [s].

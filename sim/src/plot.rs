@@ -40,7 +40,7 @@ pub type Plot = (String, String);
 pub struct PlotError(String);
 
 impl PlotError {
-    fn new(error: impl core::fmt::Display) -> Self {
+    pub(crate) fn new(error: impl core::fmt::Display) -> Self {
         Self(error.to_string())
     }
 }

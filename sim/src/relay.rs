@@ -27,6 +27,7 @@ use std::time::Duration;
 
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, StandardUniform};
+use sphere_protocol::io::histogram::Histogram;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{TcpListener, TcpStream};
@@ -69,6 +70,15 @@ pub struct Counters {
     pub latency: Duration,
 }
 
+/// How long segments of one direction took, to 0.25 ms.
+#[derive(Clone, Debug)]
+pub struct Delays {
+    /// What they were meant to take: the model's delay, and the wait for those ahead.
+    pub meant: Histogram,
+    /// What they took, from being read to being written.
+    pub measured: Histogram,
+}
+
 struct Shared {
     onward: SocketAddr,
     cut: watch::Sender<bool>,
@@ -83,6 +93,7 @@ struct Way {
     bytes: AtomicU64,
     stalls: AtomicU64,
     latency_ns: AtomicU64,
+    delays: Mutex<Delays>,
 }
 
 struct Segment {
@@ -142,6 +153,14 @@ impl Relay {
     /// What has passed from those who connected.
     pub fn up(&self) -> Counters {
         self.shared.up.counters()
+    }
+
+    /// How long segments took: from those who connected, and back to them.
+    pub fn delays(&self) -> [Delays; 2] {
+        [&self.shared.up, &self.shared.down].map(|way| {
+            let delays = way.delays.lock().unwrap_or_else(PoisonError::into_inner);
+            delays.clone()
+        })
     }
 
     /// What has passed back to them.
@@ -263,6 +282,10 @@ impl Way {
             bytes: AtomicU64::new(0),
             stalls: AtomicU64::new(0),
             latency_ns: AtomicU64::new(0),
+            delays: Mutex::new(Delays {
+                meant: Histogram::new(DELAY_BUCKET, DELAY_BUCKETS),
+                measured: Histogram::new(DELAY_BUCKET, DELAY_BUCKETS),
+            }),
         }
     }
 
@@ -284,7 +307,13 @@ impl Way {
     }
 
     fn count_delivery(&self, segment: &Segment) {
-        let latency = segment.sent.elapsed().as_nanos();
+        let latency = segment.sent.elapsed();
+        {
+            let mut delays = self.delays.lock().unwrap_or_else(PoisonError::into_inner);
+            delays.meant.count(segment.due - segment.sent);
+            delays.measured.count(latency);
+        }
+        let latency = latency.as_nanos();
         self.bytes
             .fetch_add(segment.bytes.len() as u64, Ordering::Relaxed);
         self.latency_ns.store(
@@ -318,6 +347,9 @@ const RTO_MIN: Duration = Duration::from_millis(200);
 const LOSSES_MAX: u32 = 6;
 /// Segments between the two ends, a second of a busy robot's; then the sender has to wait.
 const UNDER_WAY_MAX: usize = 1024;
+/// Delays: 2 s in all.
+const DELAY_BUCKET: Duration = Duration::from_micros(250);
+const DELAY_BUCKETS: usize = 8000;
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
 #[cfg(test)]

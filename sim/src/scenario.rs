@@ -172,6 +172,8 @@ pub struct RobotSetup {
     pub clock_offset_s: f64,
     /// By how much its clocks run fast [1e-6]. Default 0.
     pub clock_drift_ppm: f64,
+    /// Time between two of its telemetry messages, a multiple of its control period of 20 ms [ms]. Default 40.
+    pub telemetry_ms: i64,
     /// Law of its direction controller. Default htsmc.
     pub roll_controller: RollController,
     /// What pushes it about.

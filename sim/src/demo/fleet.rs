@@ -455,7 +455,7 @@ fn reason(error: &io::Error) -> &'static str {
 }
 
 /// A number that no other life of an agent or station has: drawn from the system, below 2⁵³, not 0.
-fn fresh_id() -> u64 {
+pub(crate) fn fresh_id() -> u64 {
     1 + (RandomState::new().hash_one("id") >> 12)
 }
 

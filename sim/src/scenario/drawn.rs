@@ -154,6 +154,7 @@ fn robot(setup: &RobotSetup) -> Lines {
         ),
         ("clock_offset_s", number(setup.clock_offset_s)),
         ("clock_drift_ppm", number(setup.clock_drift_ppm)),
+        ("telemetry_ms", setup.telemetry_ms.to_string()),
         ("roll_controller", quoted(setup.roll_controller.name())),
         ("disturbance", disturbance(&setup.disturbance)),
         ("mission", mission(&setup.mission)),

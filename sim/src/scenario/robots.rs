@@ -3,8 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use sphere_agent::config::Timing;
 use sphere_ground::config_file;
 use sphere_protocol::robot::{Robot, RobotId, RobotParams};
+use sphere_protocol::time::Span;
 
 use super::read::{LENGTH_OF_TIME, TIME};
 use super::{Disturbance, Environment, Patch, Push, RobotModel, RobotSetup, RollController, Start};
@@ -74,11 +76,28 @@ fn one<F: FnMut(&str) -> Result<String, String>>(
         start: start(&table)?,
         clock_offset_s: table.number_or("clock_offset_s", Range::within(-3e8, 3e8), 0.0)?,
         clock_drift_ppm: table.number_or("clock_drift_ppm", Range::within(-1e4, 1e4), 0.0)?,
+        telemetry_ms: telemetry(&table)?,
         roll_controller: table.named_or("roll_controller", RollController::Htsmc)?,
         disturbance: disturbance(&table, environment)?,
         mission: config_file::mission(&table, &model.robot)?,
         model,
     })
+}
+
+fn telemetry(table: &Table<'_>) -> Read<i64> {
+    let default = Timing::default();
+    let milliseconds = |span: Span| span.as_nanos() / 1_000_000;
+    let Some(ms) = table.integer("telemetry_ms", 20, 1000)? else {
+        return Ok(milliseconds(default.telemetry));
+    };
+    let control = milliseconds(default.control);
+    match table.node("telemetry_ms") {
+        Some((node, path)) if ms % control != 0 => {
+            let why = format!("it must be a multiple of the control period of {control} ms");
+            Err(refused(node, &path, why))
+        }
+        _ => Ok(ms),
+    }
 }
 
 /// The robot files read so far, by the path in the scenario.
@@ -277,6 +296,7 @@ const KEYS: &[&str] = &[
     "start",
     "clock_offset_s",
     "clock_drift_ppm",
+    "telemetry_ms",
     "roll_controller",
     "disturbance",
     "mission",

@@ -123,7 +123,10 @@ pub(crate) fn agent_config(setup: &RobotSetup, boot_id: u64) -> AgentConfig {
             RollController::FuzzyPid => DirectionChoice::FuzzyPid,
             RollController::FuzzyPidSingle => DirectionChoice::FuzzyPidSingle,
         },
-        timing: Timing::default(),
+        timing: Timing {
+            telemetry: Span::from_millis(setup.telemetry_ms),
+            ..Timing::default()
+        },
     }
 }
 
