@@ -3,8 +3,7 @@
 use arrayvec::ArrayVec;
 
 use super::{
-    ALPHA_RATE, Column, Columns, Covariance, Filter, PIVOT, PIVOT_LINGERS, Q_R_RATE, SHELL, STATES,
-    V,
+    ALPHA_RATE, Column, Covariance, Filter, PIVOT, PIVOT_LINGERS, Q_R_RATE, SHELL, STATES, V,
 };
 
 /// Scalar measurements whose innovation is gated.
@@ -136,33 +135,18 @@ impl<'a> Correction<'a> {
         self.fused.push(w);
     }
 
-    /// P −= Σ w wᵀ: of the lower half, in blocks of four columns; the upper is its mirror image.
+    /// P −= Σ w wᵀ: symmetric to the last bit, because products commute. Half of it would cost more: its loops do not fill the
+    /// processor's registers evenly.
     fn change_covariance(&mut self) {
-        let p = &mut self.filter.p.data.0;
-        take_off::<0>(p, &self.fused);
-        take_off::<4>(p, &self.fused);
-        take_off::<8>(p, &self.fused);
-        take_off::<12>(p, &self.fused);
-        for j in 4..STATES {
-            for i in 0..j / 4 * 4 {
-                p[j][i] = p[i][j];
+        for (j, column) in self.filter.p.data.0.iter_mut().enumerate() {
+            for w in &self.fused {
+                let weight = w[j];
+                for (entry, w) in column.iter_mut().zip(w) {
+                    *entry -= weight * w;
+                }
             }
         }
         self.fused.clear();
-    }
-}
-
-/// P −= Σ w wᵀ in the four columns from `FROM` on, without the rows above them. Products commute: the block on the diagonal stays
-/// symmetric to the last bit.
-#[inline(always)]
-fn take_off<const FROM: usize>(p: &mut Columns, fused: &[Column]) {
-    for (j, column) in p.iter_mut().enumerate().skip(FROM).take(4) {
-        for w in fused {
-            let weight = w[j];
-            for (entry, w) in column[FROM..].iter_mut().zip(&w[FROM..]) {
-                *entry -= weight * w;
-            }
-        }
     }
 }
 
