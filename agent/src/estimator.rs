@@ -348,7 +348,7 @@ impl Estimator {
         let last = self
             .running
             .as_ref()
-            .map(|running| running.history.newest().filter.clone());
+            .map(|running| running.history.newest().filter);
         let started = self.start(m, last.map(|filter| (filter, away)));
         if started {
             self.counters.restarts += 1;
@@ -361,9 +361,9 @@ impl Estimator {
     /// Gives up the newest frame's attitude.
     fn restart_from_frame_before(&mut self, m: &Measurement) {
         let Some(running) = &self.running else { return };
-        let last = running.history.slot(1).filter.clone();
+        let last = running.history.slot(1).filter;
         self.counters.restarts += 1;
-        if !self.start(m, Some((last.clone(), 1.0)))
+        if !self.start(m, Some((last, 1.0)))
             && let Some(running) = &mut self.running
         {
             running.history.slot_mut(0).filter = last;

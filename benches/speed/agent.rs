@@ -1,17 +1,22 @@
 //! On board: a control period of the agent with everything in it, and a frame of the estimator.
 
 use std::cell::RefCell;
+use std::hint::black_box;
 
 use divan::Bencher;
 use sphere_agent::agent::{Agent, Input, Output};
 use sphere_agent::config::{AgentConfig, Timing};
 use sphere_agent::control::DirectionChoice;
+use sphere_agent::control::hsmc::SpeedShape;
 use sphere_agent::estimator::{Estimator, EstimatorConfig};
+use sphere_agent::plan::{Playback, reference_state};
 use sphere_protocol::key::{Key, KeyText};
-use sphere_protocol::mavlink::{AGENT, BOARD, Event, Frame, FrameReader, Framing};
+use sphere_protocol::mavlink::{
+    AGENT, BOARD, Event, Frame, FrameReader, FrameWriter, Framing, TorqueCommand,
+};
 use sphere_protocol::message::{Command, CommandOrder, Mode};
 use sphere_protocol::robot::{Robot, RobotId};
-use sphere_protocol::state::Measurement;
+use sphere_protocol::state::{Measurement, RobotState, Setpoint, Torque};
 use sphere_protocol::time::{AgentClock, Instant, Span};
 use sphere_protocol::wire::{self, Buffer, Wire};
 use sphere_sim::body::{Body, BodyRandom, BodySetup};
@@ -39,6 +44,115 @@ fn estimator_frame(bencher: Bencher) {
     bencher
         .with_inputs(|| sensed(&mut body, &mut elapsed))
         .bench_local_refs(|measurement| estimator.on_measurement(measurement));
+}
+
+/// The command of a plan in force, its feedback included.
+#[divan::bench]
+fn playback_command(bencher: Bencher) {
+    let robot = Robot::embedded("liu").expect("comes with the project");
+    let mut playback = Playback::new();
+    let now = Instant::from_nanos(0);
+    let received = playback.receive(plan(), now, &robot.limits);
+    received.expect("a plan that begins now");
+    let state = reference_state(&moving(), 0.5, 0.0);
+    bencher.bench_local(|| {
+        playback.advance(black_box(now));
+        playback.command(now, black_box(&state), &robot.params, &robot.limits)
+    });
+}
+
+/// The direction law that ships, HTSMC with its observer.
+#[divan::bench]
+fn direction_law(bencher: Bencher) {
+    let robot = Robot::embedded("liu").expect("comes with the project");
+    let mut law = DirectionChoice::Htsmc.build(&robot).expect("stable gains");
+    let setpoint = setpoint();
+    bencher.bench_local(|| law.step(black_box(&moving()), black_box(&setpoint), 0.02));
+}
+
+/// The velocity law, HSMC with its observer.
+#[divan::bench]
+fn velocity_law(bencher: Bencher) {
+    let robot = Robot::embedded("liu").expect("comes with the project");
+    let law = DirectionChoice::Htsmc.build_velocity(&robot);
+    let mut law = law.expect("stable gains");
+    let (setpoint, shape) = (setpoint(), SpeedShape::default());
+    bencher.bench_local(|| law.step(black_box(&moving()), black_box(&setpoint), shape, 0.02));
+}
+
+/// A torque command checked and written as a MAVLink frame.
+#[divan::bench]
+fn torque_frame_written(bencher: Bencher) {
+    let mut writer = FrameWriter::new(AGENT);
+    let command = TorqueCommand {
+        target: BOARD,
+        sequence: 1,
+        torque: Torque {
+            pitch: 1.0,
+            roll: -2.0,
+        },
+        validity: Span::from_millis(60),
+    };
+    bencher.bench_local(|| writer.torque(black_box(&command)).expect("within range"));
+}
+
+/// A sensor frame found, verified, read and checked.
+#[divan::bench]
+fn sensor_frame_read(bencher: Bencher) {
+    let robot = Robot::embedded("liu").expect("comes with the project");
+    let frame = body(&robot).sense().expect("a state within range");
+    let mut reader = FrameReader::new(Framing::Datagrams, AGENT, Some(BOARD.system));
+    bencher.bench_local(|| reader.pull(&mut black_box(&frame[..])));
+}
+
+/// What divan does not show: how long the slowest of many control periods take. Those in which the system took the processor away are
+/// left out, where it tells.
+pub(crate) fn print_quantiles() {
+    const PERIODS: usize = 20_000;
+    let mut rig = Rig::tracking();
+    let mut times = Vec::with_capacity(PERIODS);
+    for _ in 0..PERIODS {
+        let mut inputs = rig.next_period();
+        let before = timeslices();
+        let begin = std::time::Instant::now();
+        rig.feed(&mut inputs);
+        let time = begin.elapsed();
+        if timeslices() == before {
+            times.push(time);
+        }
+    }
+    assert_eq!(rig.agent.mode(), Mode::Tracking);
+    times.sort_unstable();
+    let interrupted = PERIODS - times.len();
+    println!("\ncontrol_period, {PERIODS} of them, {interrupted} interrupted:");
+    for (name, rank) in [("p50", 500), ("p90", 900), ("p99", 990), ("p99.9", 999)] {
+        let time = times[times.len() * rank / 1000].as_secs_f64();
+        println!("{name:>8} {:6.2} µs", 1e6 * time);
+    }
+}
+
+/// How often this thread was given the processor; `None` where the system does not tell.
+fn timeslices() -> Option<u64> {
+    let statistics = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    statistics.split_whitespace().nth(2)?.parse().ok()
+}
+
+/// A robot that drives and leans.
+fn moving() -> RobotState {
+    RobotState {
+        v: 0.5,
+        q_r: 0.05,
+        beta: -0.1,
+        ..RobotState::default()
+    }
+}
+
+fn setpoint() -> Setpoint {
+    Setpoint {
+        v: 0.5,
+        q_r: 0.06,
+        ..Setpoint::default()
+    }
 }
 
 /// A robot and its agent in one time, without network.

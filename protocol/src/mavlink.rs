@@ -16,6 +16,7 @@
 //! The generated types' `Default` is unsafe, every set of flags starts with its first one (a default HEARTBEAT says
 //! SAFETY_ARMED): each field is written out here.
 
+mod checksum;
 mod convert;
 mod reader;
 mod writer;
@@ -36,6 +37,10 @@ mod generated {
 
 /// Longest MAVLink 2 frame with an 8 bit system id, signed [bytes].
 pub const FRAME_MAX: usize = 280;
+/// Bytes of a frame before its payload.
+const HEADER: usize = 10;
+/// Bytes of a frame's checksum.
+const CHECKSUM: usize = 2;
 /// Torques beyond this are no command but a mistake [N·m]; each robot's own limit is far below.
 pub const TORQUE_SANE: f64 = 200.0;
 /// Longest validity of a torque command: a board must never follow a dead agent for longer.

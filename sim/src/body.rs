@@ -14,12 +14,15 @@ use sphere_protocol::time::{BoardClock, Instant, Span};
 
 use crate::actuator::{Actuator, MotorBoard};
 use crate::clock::SimClock;
-use crate::disturbance::Disturbance;
+use crate::disturbance::{Disturbance, Surroundings};
 use crate::plant::{Accelerations, Plant, PlantState};
 use crate::sensor::{PositionSource, Sensors};
 
-/// Step of the plant's integration.
+/// Step of everything that drives a body: board, motors, and what disturbs it.
 pub const STEP: Span = Span::from_millis(1);
+/// Longest step of the plant's integration, in steps of what drives it: from one sensor frame to the next. Under torques that jump by
+/// 4 N·m it moves no angle by half an encoder's step and no rate by a tenth of the gyro's noise (`tests/plant.rs`).
+const STRIDE: f64 = 5.0;
 /// Time between two of the board's signs of life.
 pub const BOARD_HEARTBEAT: Span = Span::from_millis(1000);
 
@@ -47,6 +50,8 @@ pub struct Body {
     state: PlantState,
     /// Steps since the start.
     steps: i64,
+    /// What acts on the plant in those of them that it has yet to take.
+    ahead: Driven,
     board: MotorBoard,
     actuator: Actuator,
     sensors: Sensors,
@@ -63,6 +68,16 @@ pub struct Body {
     refused_commands: u64,
     /// Held in a cradle until its motors move it for the first time.
     held: bool,
+}
+
+/// What acts on the plant over some steps, added up.
+#[derive(Clone, Copy, Debug, Default)]
+struct Driven {
+    steps: f64,
+    /// At the joints [N·m].
+    torque: Torque,
+    /// From outside, on the roll and on the rolling motion [N·m].
+    outside: [f64; 2],
 }
 
 /// The random streams of a body, one for each purpose.
@@ -138,6 +153,7 @@ impl Body {
             plant: Plant::new(setup.params),
             state: PlantState { robot, phi_s: 0.0 },
             steps: 0,
+            ahead: Driven::default(),
             board: MotorBoard::new(),
             sensors: Sensors::new(setup.noise, random.sensors),
             positions: PositionSource::new(setup.fix_sigma, random.positions),
@@ -155,18 +171,20 @@ impl Body {
     }
 
     /// Lets time pass in whole steps, as far as `elapsed` since the start.
+    ///
+    /// The plant moves in strides of several steps under the mean of their torques: what reaches a speed is their sum.
     pub fn advance(&mut self, elapsed: Span) {
-        let dt = STEP.as_secs_f64();
+        self.elapse(elapsed);
+        self.stride();
+    }
+
+    /// As [`Body::advance`], for someone who will only hand over a command: the plant may be up to 5 ms behind.
+    pub fn elapse(&mut self, elapsed: Span) {
         while (self.steps + 1) * STEP.as_nanos() <= elapsed.as_nanos() {
-            let command = self.board.torque(self.board_now());
-            let torque = self.actuator.step(command);
-            self.held &= torque == Torque::default();
-            if !self.held {
-                self.wander(dt);
-                let around = self.surroundings();
-                self.state = self.plant.step(&self.state, torque, &around, dt);
+            self.drive();
+            if self.ahead.steps >= STRIDE {
+                self.stride();
             }
-            self.steps += 1;
         }
     }
 
@@ -192,7 +210,7 @@ impl Body {
 
     /// One sensor frame, sampled now; `None` if the plant's state is beyond what a frame can carry.
     pub fn sense(&mut self) -> Option<Frame> {
-        let around = self.surroundings();
+        let around = self.surroundings(self.outside());
         let accelerations = if self.held {
             Accelerations::default()
         } else {
@@ -256,26 +274,70 @@ impl Body {
         self.refused_commands
     }
 
-    fn surroundings(&self) -> crate::disturbance::Surroundings {
-        let elapsed = Span::from_nanos(self.steps * STEP.as_nanos()).as_secs_f64();
-        let s = &self.state.robot;
-        let mut around = self
-            .disturbance
-            .surroundings(self.plant.params(), elapsed, s.x, s.y);
-        around.roll += self.random_torque[0];
-        around.pitch += self.random_torque[1];
-        around
+    /// One step of board, motors and disturbances, ahead of the plant.
+    fn drive(&mut self) {
+        let torque = self.actuator.step(self.board.torque(self.board_now()));
+        self.held &= torque == Torque::default();
+        if !self.held {
+            self.wander();
+            let outside = self.outside();
+            let ahead = &mut self.ahead;
+            ahead.steps += 1.0;
+            ahead.torque.pitch += torque.pitch;
+            ahead.torque.roll += torque.roll;
+            ahead.outside[0] += outside[0];
+            ahead.outside[1] += outside[1];
+        }
+        self.steps += 1;
+    }
+
+    /// The plant catches up, under the mean of what acted on it.
+    fn stride(&mut self) {
+        let ahead = core::mem::take(&mut self.ahead);
+        if ahead.steps == 0.0 {
+            return;
+        }
+        let share = 1.0 / ahead.steps;
+        let torque = Torque {
+            pitch: share * ahead.torque.pitch,
+            roll: share * ahead.torque.roll,
+        };
+        let around = self.surroundings(ahead.outside.map(|torque| share * torque));
+        let dt = ahead.steps * STEP.as_secs_f64();
+        self.state = self.plant.step(&self.state, torque, &around, dt);
+    }
+
+    /// Torque of pushes and of what wanders now, on the roll and on the rolling motion [N·m].
+    fn outside(&self) -> [f64; 2] {
+        let [roll, pitch] = self.disturbance.pushes_at(self.elapsed().as_secs_f64());
+        [roll + self.random_torque[0], pitch + self.random_torque[1]]
+    }
+
+    /// What acts on the plant here, with these torques from outside on the roll and on the rolling motion [N·m].
+    fn surroundings(&self, [roll, pitch]: [f64; 2]) -> Surroundings {
+        let (params, s) = (self.plant.params(), &self.state.robot);
+        let at = self.elapsed().as_secs_f64();
+        Surroundings {
+            roll,
+            pitch,
+            ..self.disturbance.surroundings(params, at, s.x, s.y)
+        }
     }
 
     /// Moves the random torque on by one step.
-    fn wander(&mut self, dt: f64) {
+    fn wander(&mut self) {
         let random = self.disturbance.random;
         if random.sigma == 0.0 {
             return;
         }
+        let dt = STEP.as_secs_f64();
         for torque in &mut self.random_torque {
             *torque = random.step(*torque, dt, StandardNormal.sample(&mut self.disturbances));
         }
+    }
+
+    fn elapsed(&self) -> Span {
+        Span::from_nanos(self.steps * STEP.as_nanos())
     }
 
     /// A repeated or overtaken command is not obeyed (modulo 2³²). Once the last one's validity has run out any number is new:
@@ -291,7 +353,6 @@ impl Body {
     }
 
     fn board_now(&self) -> Instant<BoardClock> {
-        let elapsed = Span::from_nanos(self.steps * STEP.as_nanos());
-        Instant::from_nanos(self.clock.shows(elapsed).as_nanos())
+        Instant::from_nanos(self.clock.shows(self.elapsed()).as_nanos())
     }
 }

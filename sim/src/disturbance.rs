@@ -104,20 +104,21 @@ impl RandomTorque {
 }
 
 impl Disturbance {
-    /// What acts `at` seconds after the start on a robot at world (`x`, `y`) [m].
-    ///
-    /// Meant to be asked once a step: at 1 ms the edge of a patch is met to a millimetre, and a push begins and ends on a step.
+    /// Torque of the pushes `at` seconds after the start, on the roll and on the rolling motion [N·m].
+    pub fn pushes_at(&self, at: f64) -> [f64; 2] {
+        let now = |push: &&Push| at >= push.at_s && at < push.at_s + push.for_s;
+        let add =
+            |[roll, pitch]: [f64; 2], push: &Push| [roll + push.roll_nm, pitch + push.pitch_nm];
+        self.pushes.iter().filter(now).fold([0.0; 2], add)
+    }
+
+    /// What acts `at` seconds after the start on a robot at world (`x`, `y`) [m]: asked every 5 ms, the edge of a patch is met to 5 mm.
     pub fn surroundings(&self, params: &RobotParams, at: f64, x: f64, y: f64) -> Surroundings {
         let mut around = Surroundings::level(params);
         around.imbalance = self.imbalance;
         around.imbalance_harmonic = self.imbalance_harmonic;
         around.stiction = self.stiction;
-        for push in &self.pushes {
-            if at >= push.at_s && at < push.at_s + push.for_s {
-                around.roll += push.roll_nm;
-                around.pitch += push.pitch_nm;
-            }
-        }
+        [around.roll, around.pitch] = self.pushes_at(at);
         let [rise_x, rise_y] = self.slope;
         let length = (1.0 + rise_x * rise_x + rise_y * rise_y).sqrt();
         around.up = [rise_x / length, rise_y / length, 1.0 / length];
@@ -151,10 +152,17 @@ impl Surroundings {
 
     /// Torques on the roll and on the rolling motion [N·m], with the shell at angle `phi_s` [rad].
     pub fn torques(&self, phi_s: f64) -> (f64, f64) {
-        if self.imbalance == 0.0 {
-            return (self.roll, self.pitch);
-        }
-        let (sin, cos) = (self.imbalance_harmonic * phi_s).sin_cos();
+        let (sin, cos) = self.imbalance_angle(phi_s).unwrap_or_default().sin_cos();
+        self.torques_turned(sin, cos)
+    }
+
+    /// Angle of the imbalance with the shell at `phi_s` [rad]; `None` for a shell that is balanced.
+    pub(crate) fn imbalance_angle(&self, phi_s: f64) -> Option<f64> {
+        (self.imbalance != 0.0).then_some(self.imbalance_harmonic * phi_s)
+    }
+
+    /// As [`Surroundings::torques`], by sine and cosine of the imbalance's angle.
+    pub(crate) fn torques_turned(&self, sin: f64, cos: f64) -> (f64, f64) {
         (
             self.roll + self.imbalance * sin,
             self.pitch + self.imbalance * cos,

@@ -1,4 +1,4 @@
-//! Runge-Kutta of fourth order with a fixed step: deterministic, and accurate far beyond the plant's parameters at 1 ms.
+//! Runge-Kutta of fourth order with a fixed step: deterministic, and accurate far beyond the plant's parameters at 5 ms.
 
 /// The solution of ẏ = f(y) a step `dt` [s] later, by the classical fourth-order Runge-Kutta method.
 ///

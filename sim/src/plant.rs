@@ -26,6 +26,7 @@
 //! φ̇_s = v / (R cos q_r)        φ̇ = v tan q_r / R  (eq 1)        Ẋ + iẎ = (v + i R q̇_r) e^(iφ)  (eq 1)
 //! ```
 
+mod attitude;
 mod equations;
 
 use sphere_protocol::robot::RobotParams;
@@ -34,6 +35,7 @@ use sphere_protocol::state::{RobotState, Torque};
 use crate::disturbance::Surroundings;
 use crate::friction;
 use crate::integrator::rk4;
+use attitude::{Attitude, Turn};
 pub use equations::Equations;
 use equations::Geometry;
 
@@ -95,8 +97,10 @@ impl Plant {
         around: &Surroundings,
         dt: f64,
     ) -> PlantState {
+        let start = Attitude::of(state, around);
         let next = rk4(state.to_array(), dt, |y| {
-            self.derivative(&PlantState::from_array(y), torque, around)
+            let state = PlantState::from_array(y);
+            self.derivative(&state, &start.to(&state, around), torque, around)
         });
         PlantState::from_array(&next)
     }
@@ -108,15 +112,16 @@ impl Plant {
         torque: Torque,
         around: &Surroundings,
     ) -> Accelerations {
-        let geometry = Geometry::of(&state.robot, self.params.r);
-        let g = gravity(&self.params, state.robot.heading.sin_cos(), around);
-        self.solve(state, &geometry, g, torque, around)
+        let attitude = Attitude::of(state, around);
+        let geometry = Geometry::of(&attitude, self.params.r);
+        self.solve(state, &attitude, &geometry, torque, around)
     }
 
     /// M and h of M u̇ + h = Q at this state; h contains gravity.
     pub fn equations(&self, state: &PlantState, around: &Surroundings) -> Equations {
-        let geometry = Geometry::of(&state.robot, self.params.r);
-        let g = gravity(&self.params, state.robot.heading.sin_cos(), around);
+        let attitude = Attitude::of(state, around);
+        let geometry = Geometry::of(&attitude, self.params.r);
+        let g = gravity(&self.params, &attitude.heading, around);
         Equations::of(&self.params, &state.robot, &geometry, g)
     }
 
@@ -136,8 +141,9 @@ impl Plant {
     /// Potential energy, zero with the bob at the height of a centre at X = Y = 0 [J].
     pub fn potential_energy(&self, state: &PlantState, around: &Surroundings) -> f64 {
         let (p, s) = (&self.params, &state.robot);
-        let k = Geometry::of(s, p.r).k;
-        let g = gravity(p, s.heading.sin_cos(), around);
+        let attitude = Attitude::of(state, around);
+        let k = Geometry::of(&attitude, p.r).k;
+        let g = gravity(p, &attitude.heading, around);
         let climbed = around.up[0] * s.x + around.up[1] * s.y;
         p.total_mass() * p.g * climbed - p.m * p.l * (k[0] * g[0] + k[1] * g[1] + k[2] * g[2])
     }
@@ -163,8 +169,9 @@ impl Plant {
         around: &Surroundings,
     ) -> TrueImu {
         let (r, s) = (self.params.r, &state.robot);
-        let geometry = Geometry::of(s, r);
-        let g = gravity(&self.params, s.heading.sin_cos(), around);
+        let attitude = Attitude::of(state, around);
+        let geometry = Geometry::of(&attitude, r);
+        let g = gravity(&self.params, &attitude.heading, around);
         let yaw_rate = s.v * geometry.yaw_v;
         let a = [
             accelerations.v - r * s.q_r_rate * yaw_rate + g[0],
@@ -179,12 +186,17 @@ impl Plant {
     }
 
     /// d/dt of [`PlantState::to_array`].
-    fn derivative(&self, state: &PlantState, torque: Torque, around: &Surroundings) -> [f64; 11] {
+    fn derivative(
+        &self,
+        state: &PlantState,
+        attitude: &Attitude,
+        torque: Torque,
+        around: &Surroundings,
+    ) -> [f64; 11] {
         let (r, s) = (self.params.r, &state.robot);
-        let geometry = Geometry::of(s, r);
-        let (sin, cos) = s.heading.sin_cos();
-        let g = gravity(&self.params, (sin, cos), around);
-        let u = self.solve(state, &geometry, g, torque, around);
+        let geometry = Geometry::of(attitude, r);
+        let u = self.solve(state, attitude, &geometry, torque, around);
+        let Turn { sin, cos, .. } = attitude.heading;
         let sideways = r * s.q_r_rate;
         [
             // Eq (1): Ẋ = v cos φ − R q̇_r sin φ, Ẏ = v sin φ + R q̇_r cos φ, φ̇ = v tan q_r / R
@@ -205,12 +217,14 @@ impl Plant {
     fn solve(
         &self,
         state: &PlantState,
+        attitude: &Attitude,
         geometry: &Geometry,
-        g: [f64; 3],
         torque: Torque,
         around: &Surroundings,
     ) -> Accelerations {
-        let forces = self.generalised_forces(state, geometry.shell_v, torque, around);
+        let push = around.torques_turned(attitude.imbalance.sin, attitude.imbalance.cos);
+        let forces = self.generalised_forces(state, geometry.shell_v, torque, push, around);
+        let g = gravity(&self.params, &attitude.heading, around);
         Equations::of(&self.params, &state.robot, geometry, g).solve(forces)
     }
 
@@ -223,6 +237,7 @@ impl Plant {
         state: &PlantState,
         shell_v: f64,
         torque: Torque,
+        (push_roll, push_pitch): (f64, f64),
         around: &Surroundings,
     ) -> [f64; 4] {
         let (p, s) = (&self.params, &state.robot);
@@ -231,7 +246,6 @@ impl Plant {
         let roll_rate = s.beta_rate + s.q_r_rate;
         let roll = torque.roll - friction::joint(p.zeta, p.coulomb, around.stiction, roll_rate);
         let (resisting_force, resisting_torque) = self.rolling_resistance(s, around);
-        let (push_roll, push_pitch) = around.torques(state.phi_s);
         [
             pitch,
             pitch * shell_v - resisting_force + push_pitch / p.r,
@@ -316,8 +330,8 @@ impl PlantState {
 }
 
 /// Gravity as the upward acceleration of a floor that carries everything with it: g times the vertical, on f, l, z [m/s²].
-fn gravity(p: &RobotParams, (sin, cos): (f64, f64), around: &Surroundings) -> [f64; 3] {
-    let up = around.up;
+fn gravity(p: &RobotParams, heading: &Turn, around: &Surroundings) -> [f64; 3] {
+    let (up, &Turn { sin, cos, .. }) = (around.up, heading);
     [
         p.g * (up[0] * cos + up[1] * sin),
         p.g * (up[1] * cos - up[0] * sin),

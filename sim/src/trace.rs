@@ -87,7 +87,37 @@ impl From<ReferencePoint> for Reference {
 #[derive(Clone, Debug, Default)]
 pub struct Trace {
     rows: Vec<Row>,
-    digest: Sha256,
+    digest: Digester,
+}
+
+/// SHA-256 of what comes in pieces of a few bytes: they are gathered first, because each call of the hash costs as much as a block.
+#[derive(Clone, Debug, Default)]
+struct Digester {
+    hash: Sha256,
+    waiting: Vec<u8>,
+}
+
+/// Bytes gathered before they are hashed.
+const GATHERED: usize = 4096;
+
+impl Digester {
+    fn update(&mut self, bytes: impl AsRef<[u8]>) {
+        if self.waiting.len() >= GATHERED {
+            self.hash.update(&self.waiting);
+            self.waiting.clear();
+        }
+        self.waiting.extend_from_slice(bytes.as_ref());
+    }
+
+    /// The hash of everything so far, in hexadecimal.
+    fn hexadecimal(&self) -> String {
+        let hash = self.hash.clone().chain_update(&self.waiting).finalize();
+        hash.iter()
+            .fold(String::with_capacity(64), |mut hex, byte| {
+                write!(hex, "{byte:02x}").expect("text grows");
+                hex
+            })
+    }
 }
 
 impl Trace {
@@ -124,12 +154,7 @@ impl Trace {
 
     /// SHA-256 over everything so far, in hexadecimal: two runs are the same if, and only if, it is the same.
     pub fn digest(&self) -> String {
-        let hash = self.digest.clone().finalize();
-        hash.iter()
-            .fold(String::with_capacity(64), |mut hex, byte| {
-                write!(hex, "{byte:02x}").expect("text grows");
-                hex
-            })
+        self.digest.hexadecimal()
     }
 
     /// Writes the rows as CSV with the columns of [`COLUMNS`]; what does not apply is empty.
@@ -162,7 +187,7 @@ impl Trace {
 
 impl Row {
     /// Every bit of the row, so that a difference in the last place shows.
-    fn hash(&self, digest: &mut Sha256) {
+    fn hash(&self, digest: &mut Digester) {
         let robot = self.robot.as_str();
         digest.update([robot.len() as u8]);
         digest.update(robot);

@@ -334,7 +334,7 @@ impl World {
             }
             Happening::FrameToBoard { robot, bytes } => {
                 let cell = &mut self.robots[robot];
-                cell.body.advance(now);
+                cell.body.elapse(now);
                 cell.body.receive(&bytes);
             }
             Happening::AgentTimeout { robot } => {

@@ -8,12 +8,14 @@
 mod correction;
 mod geometry;
 mod position;
+mod transition;
 
 use nalgebra::{SMatrix, SVector};
 
 use super::config::EstimatorConfig;
 use correction::Correction;
 use geometry::{Motion, Trig};
+use transition::Transition;
 
 pub(super) use correction::{Channel, Gates};
 pub(super) use position::FixAt;
@@ -49,8 +51,10 @@ pub(super) const ACCEL_BIAS: usize = 13;
 
 pub(super) type State = SVector<f64, STATES>;
 pub(super) type Covariance = SMatrix<f64, STATES, STATES>;
+/// A column of a covariance, or a row: it is symmetric.
+type Column = [f64; STATES];
 /// A covariance as nalgebra stores it: where both loops have fixed bounds, plain arrays need no checks.
-type Columns = [[f64; STATES]; STATES];
+type Columns = [Column; STATES];
 
 /// What one sensor frame gives the filter; a sensor that is not to be trusted gives `None`.
 #[derive(Clone, Copy, Debug)]
@@ -77,7 +81,7 @@ pub(super) struct Body {
 }
 
 /// State and covariance at the stamp of one frame.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Filter {
     pub(super) x: State,
     pub(super) p: Covariance,
@@ -103,34 +107,37 @@ impl Filter {
         // A gap is crossed in short strides, so that the midpoint rule holds.
         let strides = (step.dt / STRIDE_MAX).ceil().max(1.0);
         let unknown_force = step.accel.is_none() || step.dt > 2.5 * config.sample_interval;
+        let mut t = Trig::of(self.x[Q_R], self.x[ALPHA]);
         for _ in 0..strides as u32 {
-            self.predict(step.dt / strides, step.accel, unknown_force, radius, config);
+            let dt = step.dt / strides;
+            t = self.predict(&t, dt, step.accel, unknown_force, radius, config);
         }
-        self.correct(step, body, config)
+        self.correct(&t, step, body, config)
     }
 
-    /// Prediction over `dt` [s] by the midpoint rule, and P = F P Fᵀ + Q.
+    /// Prediction over `dt` [s] by the midpoint rule, and P = F P Fᵀ + Q; from the attitude `start` to the one returned.
     ///
     /// q̈_r = (a_left − v φ̇)/R,  v̇ = a_forward + R q̇_r φ̇,  φ̇ = v tan q_r/R + pivot,  φ̇_s = v/(R cos q_r),  eq (1) for the position.
     fn predict(
         &mut self,
+        start: &Trig,
         dt: f64,
         accel: Option<[f64; 3]>,
         unknown_force: bool,
         radius: f64,
         config: &EstimatorConfig,
-    ) {
+    ) -> Trig {
         let x = &mut self.x;
         let half = 0.5 * dt;
 
-        let start = Trig::of(x[Q_R], x[ALPHA]);
         let (q_r_rate, v, pivot) = (x[Q_R_RATE], x[V], x[PIVOT]);
-        let m = Motion::of(x, &start, q_r_rate, v, accel, radius);
+        let m = Motion::of(x, start, q_r_rate, v, accel, radius);
         let q_r_rate_mid = q_r_rate + half * m.q_r_accel;
         let v_mid = v + half * m.v_rate;
         let heading_mid = x[HEADING] + half * m.yaw_rate;
 
-        let t = Trig::of(x[Q_R] + half * q_r_rate, x[ALPHA] + half * x[ALPHA_RATE]);
+        let t = start.turned(half * q_r_rate, half * x[ALPHA_RATE]);
+        let end = start.turned(dt * q_r_rate_mid, dt * x[ALPHA_RATE]);
         let m = Motion::of(x, &t, q_r_rate_mid, v_mid, accel, radius);
         let (sin_h, cos_h) = heading_mid.sin_cos();
         let x_rate = v_mid * cos_h - radius * q_r_rate_mid * sin_h;
@@ -147,53 +154,50 @@ impl Filter {
         x[X] += dt * x_rate;
         x[Y] += dt * y_rate;
 
-        // F − I at the midpoint, (row, column, entry). Without an accelerometer its bias drives nothing.
+        // F − I at the midpoint. Without an accelerometer its bias drives nothing.
         let known = if accel.is_some() { dt } else { 0.0 };
         let yaw_by_q_r = v_mid * (1.0 + t.tan_r * t.tan_r) / radius;
         let yaw_by_v = t.tan_r / radius;
         let sway = dt * radius * q_r_rate_mid;
         let by_r = dt / radius;
-        let transition = [
-            (Q_R, Q_R_RATE, dt),
-            (Q_R_RATE, Q_R, by_r * (m.vertical - v_mid * yaw_by_q_r)),
-            (Q_R_RATE, ALPHA, by_r * m.forward * t.sin_r),
-            (Q_R_RATE, V, -by_r * (m.yaw_rate + v_mid * yaw_by_v)),
-            (Q_R_RATE, PIVOT, -by_r * v_mid),
-            (Q_R_RATE, ACCEL_BIAS, -known / radius * t.sin_a * t.sin_r),
-            (Q_R_RATE, ACCEL_BIAS + 1, -known / radius * t.cos_r),
-            (
-                Q_R_RATE,
-                ACCEL_BIAS + 2,
-                -known / radius * t.cos_a * t.sin_r,
-            ),
-            (ALPHA, ALPHA_RATE, dt),
-            (HEADING, V, dt * yaw_by_v),
-            (HEADING, Q_R, dt * yaw_by_q_r),
-            (HEADING, PIVOT, dt),
-            (PIVOT, PIVOT, pivot_kept - 1.0),
-            (SHELL, V, by_r / t.cos_r),
-            (SHELL, Q_R, by_r * v_mid * t.tan_r / t.cos_r),
-            (V, ALPHA, -dt * m.up),
-            (V, Q_R_RATE, dt * radius * m.yaw_rate),
-            (V, Q_R, sway * yaw_by_q_r),
-            (V, V, sway * yaw_by_v),
-            (V, PIVOT, sway),
-            (V, ACCEL_BIAS, -known * t.cos_a),
-            (V, ACCEL_BIAS + 2, known * t.sin_a),
-            (X, V, dt * cos_h),
-            (X, Q_R_RATE, -dt * radius * sin_h),
-            (X, HEADING, -dt * y_rate),
-            (Y, V, dt * sin_h),
-            (Y, Q_R_RATE, dt * radius * cos_h),
-            (Y, HEADING, dt * x_rate),
-        ];
-        // P is symmetric: (P Fᵀ)ᵀ = F P, and (F P) Fᵀ is symmetric again.
-        let p = &mut self.p.data.0;
-        times_transition(p, &transition);
-        transpose(p);
-        times_transition(p, &transition);
-        make_symmetric(p);
+        let transition = Transition {
+            q_r: [(Q_R_RATE, dt)],
+            q_r_rate: [
+                (Q_R, by_r * (m.vertical - v_mid * yaw_by_q_r)),
+                (ALPHA, by_r * m.forward * t.sin_r),
+                (V, -by_r * (m.yaw_rate + v_mid * yaw_by_v)),
+                (PIVOT, -by_r * v_mid),
+                (ACCEL_BIAS, -known / radius * t.sin_a * t.sin_r),
+                (ACCEL_BIAS + 1, -known / radius * t.cos_r),
+                (ACCEL_BIAS + 2, -known / radius * t.cos_a * t.sin_r),
+            ],
+            alpha: [(ALPHA_RATE, dt)],
+            heading: [(V, dt * yaw_by_v), (Q_R, dt * yaw_by_q_r), (PIVOT, dt)],
+            pivot: [(PIVOT, pivot_kept - 1.0)],
+            shell: [(V, by_r / t.cos_r), (Q_R, by_r * v_mid * t.tan_r / t.cos_r)],
+            v: [
+                (ALPHA, -dt * m.up),
+                (Q_R_RATE, dt * radius * m.yaw_rate),
+                (Q_R, sway * yaw_by_q_r),
+                (V, sway * yaw_by_v),
+                (PIVOT, sway),
+                (ACCEL_BIAS, -known * t.cos_a),
+                (ACCEL_BIAS + 2, known * t.sin_a),
+            ],
+            x: [
+                (V, dt * cos_h),
+                (Q_R_RATE, -dt * radius * sin_h),
+                (HEADING, -dt * y_rate),
+            ],
+            y: [
+                (V, dt * sin_h),
+                (Q_R_RATE, dt * radius * cos_h),
+                (HEADING, dt * x_rate),
+            ],
+        };
+        transition.carry(&mut self.p.data.0);
         self.add_process_noise(dt, unknown_force, radius, config);
+        end
     }
 
     fn add_process_noise(
@@ -247,10 +251,9 @@ impl Filter {
     /// Gyro, from W = −α̇ n − q̇_r e_f + φ̇ e_z with n the long axis:
     /// ω_x = −q̇_r cos α + φ̇ cos q_r sin α,  ω_y = −α̇ − φ̇ sin q_r,  ω_z = q̇_r sin α + φ̇ cos q_r cos α.
     /// Encoder: θ_p = φ_s + α.
-    fn correct(&mut self, step: &Step, body: &Body, config: &EstimatorConfig) -> Gates {
+    fn correct(&mut self, t: &Trig, step: &Step, body: &Body, config: &EstimatorConfig) -> Gates {
         let radius = body.radius;
         let x = self.x;
-        let t = Trig::of(x[Q_R], x[ALPHA]);
         let (q_r_rate, v) = (x[Q_R_RATE], x[V]);
         let mut correction = Correction::of(self);
 
@@ -303,7 +306,7 @@ impl Filter {
         }
         if step.accel.is_some() {
             // The floor is flat: the vertical specific force is g, and what is left over is the upward bias.
-            let m = Motion::of(&x, &t, q_r_rate, v, step.accel, radius);
+            let m = Motion::of(&x, t, q_r_rate, v, step.accel, radius);
             let h = [
                 (Q_R, -m.left),
                 (ALPHA, m.forward * t.cos_r),
@@ -337,37 +340,6 @@ impl Filter {
             && (0..STATES).all(|i| self.p[(i, i)].is_finite())
             && self.x[Q_R].abs() < ANGLE_MAX
             && self.x[ALPHA].abs() < ANGLE_MAX
-    }
-}
-
-/// A = A (I + D)ᵀ for the few entries of D: each adds a multiple of one column to another.
-fn times_transition(a: &mut Columns, transition: &[(usize, usize, f64)]) {
-    let source = *a;
-    for &(row, column, entry) in transition {
-        for (sum, value) in a[row].iter_mut().zip(&source[column]) {
-            *sum += entry * value;
-        }
-    }
-}
-
-#[allow(clippy::needless_range_loop, reason = "both triangles are indexed")]
-fn transpose(a: &mut Columns) {
-    for i in 0..STATES {
-        for j in 0..i {
-            (a[i][j], a[j][i]) = (a[j][i], a[i][j]);
-        }
-    }
-}
-
-/// (A + Aᵀ)/2: rounding must not make a covariance lopsided.
-#[allow(clippy::needless_range_loop, reason = "both triangles are indexed")]
-fn make_symmetric(a: &mut Columns) {
-    for i in 0..STATES {
-        for j in 0..i {
-            let mean = 0.5 * (a[i][j] + a[j][i]);
-            a[i][j] = mean;
-            a[j][i] = mean;
-        }
     }
 }
 

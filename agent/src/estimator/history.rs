@@ -41,17 +41,13 @@ impl History {
 
     /// Appends a frame whose filter is still the one of the frame before: the caller steps it.
     pub(super) fn push(&mut self, stamp: Instant<BoardClock>, step: Step) -> &mut Slot {
-        let next = (self.newest + 1) % FRAMES;
-        let filter = self.newest().filter.clone();
-        self.slots[next] = Slot {
-            stamp,
-            step,
-            filter,
-            fix: None,
-        };
-        self.newest = next;
+        let before = self.newest;
+        self.newest = (before + 1) % FRAMES;
         self.len = (self.len + 1).min(FRAMES);
-        &mut self.slots[next]
+        let (slot, before) = self.neighbours(self.newest, before);
+        (slot.stamp, slot.step, slot.fix) = (stamp, step, None);
+        slot.filter = before.filter;
+        slot
     }
 
     /// Changes the filters of all frames alike.
@@ -63,13 +59,11 @@ impl History {
 
     /// The slot `age` frames before the newest one.
     pub(super) fn slot(&self, age: usize) -> &Slot {
-        debug_assert!(age < self.len);
-        &self.slots[(self.newest + FRAMES - age) % FRAMES]
+        &self.slots[self.place(age)]
     }
 
     pub(super) fn slot_mut(&mut self, age: usize) -> &mut Slot {
-        debug_assert!(age < self.len);
-        &mut self.slots[(self.newest + FRAMES - age) % FRAMES]
+        &mut self.slots[self.place(age)]
     }
 
     /// Age of the frame nearest to `stamp`; `None` if that lies before the oldest frame.
@@ -88,14 +82,26 @@ impl History {
     /// A fix that was accepted once stays accepted: the gate had judged it when it came.
     pub(super) fn replay_after(&mut self, age: usize, body: &Body, config: &EstimatorConfig) {
         for age in (0..age).rev() {
-            let mut filter = self.slot(age + 1).filter.clone();
-            let slot = self.slot_mut(age);
-            filter.step(&slot.step, body, config);
+            let (slot, before) = self.neighbours(self.place(age), self.place(age + 1));
+            slot.filter = before.filter;
+            slot.filter.step(&slot.step, body, config);
             if let Some(fix) = &slot.fix {
-                filter.fuse_fix(fix, body.radius);
+                slot.filter.fuse_fix(fix, body.radius);
             }
-            slot.filter = filter;
         }
+    }
+
+    /// Two slots at once, by their different places.
+    fn neighbours(&mut self, one: usize, other: usize) -> (&mut Slot, &Slot) {
+        let slots = self.slots.get_disjoint_mut([one, other]);
+        let [one, other] = slots.expect("the ring has more than one place");
+        (one, other)
+    }
+
+    /// Where the slot `age` frames before the newest one is.
+    fn place(&self, age: usize) -> usize {
+        debug_assert!(age < self.len);
+        (self.newest + FRAMES - age) % FRAMES
     }
 }
 

@@ -1,9 +1,10 @@
 //! Bytes to events: finds MAVLink 2 frames among whatever else arrives.
 
 use arrayvec::ArrayVec;
-use mavlink_core::{MAV_STX_V2, MavlinkVersion, Message, calculate_crc};
+use mavlink_core::{MAV_STX_V2, MavlinkVersion, Message};
 
-use super::{Address, Event, FRAME_MAX, MavMessage, convert};
+use super::checksum::checksum;
+use super::{Address, CHECKSUM, Event, FRAME_MAX, HEADER, MavMessage, convert};
 
 /// Finds frames in datagrams or in a byte stream, drops and counts everything else. Never more than one frame is held back.
 ///
@@ -121,7 +122,8 @@ impl FrameReader {
                 Candidate::Needs(missing) => {
                     let (taken, rest) = bytes.split_at(missing.min(bytes.len()));
                     *bytes = rest;
-                    self.held.extend(taken.iter().copied());
+                    let fits = self.held.try_extend_from_slice(taken);
+                    fits.expect("no frame is longer than FRAME_MAX");
                 }
                 Candidate::Frame(length) => {
                     let received = self.accept(length);
@@ -170,8 +172,8 @@ impl FrameReader {
             return Candidate::Needs(length - held.len());
         }
         let end = HEADER + usize::from(payload);
-        let checksum = calculate_crc(&held[1..end], MavMessage::extra_crc(id)).to_le_bytes();
-        if held[end..end + CHECKSUM] != checksum {
+        let sum = checksum(&held[1..end], MavMessage::extra_crc(id));
+        if held[end..end + CHECKSUM] != sum.to_le_bytes() {
             self.count(|counters| &mut counters.bad_checksum);
             return Candidate::None;
         }
@@ -233,8 +235,6 @@ fn message_id(header: &[u8; HEADER]) -> u32 {
     u32::from_le_bytes([header[7], header[8], header[9], 0])
 }
 
-const HEADER: usize = 10;
-const CHECKSUM: usize = 2;
 const SIGNATURE: usize = 13;
 /// The one incompatibility flag that changes only the length.
 const SIGNED: u8 = 1;

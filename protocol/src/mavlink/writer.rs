@@ -1,9 +1,12 @@
 //! Messages to frames.
 
 use arrayvec::ArrayVec;
-use mavlink_core::{MAVLinkV2MessageRaw, MavHeader};
+use mavlink_core::{MAV_STX_V2, MavlinkVersion, Message};
 
-use super::{Address, FRAME_MAX, Heartbeat, MavMessage, TorqueCommand, ValueError, convert};
+use super::checksum::checksum;
+use super::{
+    Address, CHECKSUM, FRAME_MAX, HEADER, Heartbeat, MavMessage, TorqueCommand, ValueError, convert,
+};
 use crate::state::{Measurement, PositionFix};
 
 /// One frame's bytes.
@@ -53,14 +56,34 @@ impl FrameWriter {
 
     /// Any message of the dialect, unchecked.
     pub fn message(&mut self, message: &MavMessage) -> Frame {
-        let header = MavHeader {
-            system_id: u32::from(self.own.system),
-            component_id: self.own.component,
-            sequence: self.sequence,
-        };
+        let mut bytes = [0; FRAME_MAX];
+        let payload = &mut bytes[HEADER..HEADER + PAYLOAD_MAX];
+        let length = message.ser(MavlinkVersion::V2, payload);
+        let end = HEADER + length;
+        let id = message.message_id();
+        let [id_low, id_middle, id_high, _] = id.to_le_bytes();
+        let header = [
+            MAV_STX_V2,
+            length as u8,
+            // No flags that a reader must understand, none that it may ignore.
+            0,
+            0,
+            self.sequence,
+            self.own.system,
+            self.own.component,
+            id_low,
+            id_middle,
+            id_high,
+        ];
+        bytes[..HEADER].copy_from_slice(&header);
+        let sum = checksum(&bytes[1..end], MavMessage::extra_crc(id));
+        bytes[end..end + CHECKSUM].copy_from_slice(&sum.to_le_bytes());
         self.sequence = self.sequence.wrapping_add(1);
-        let mut raw = MAVLinkV2MessageRaw::new();
-        raw.serialize_message(header, message);
-        Frame::try_from(raw.raw_bytes()).expect("an 8 bit system id keeps frames within FRAME_MAX")
+        let mut frame = Frame::from(bytes);
+        frame.truncate(end + CHECKSUM);
+        frame
     }
 }
+
+/// Longest payload [bytes].
+const PAYLOAD_MAX: usize = 255;

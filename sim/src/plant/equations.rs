@@ -37,6 +37,7 @@ use sphere_protocol::robot::RobotParams;
 use sphere_protocol::state::RobotState;
 
 use super::Accelerations;
+use super::attitude::Attitude;
 
 /// M (symmetric) and h of M u̇ + h = Q, rows and columns (α̇, v, β̇, q̇_r); SI.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,10 +82,10 @@ pub(super) struct Geometry {
 }
 
 impl Geometry {
-    pub(super) fn of(state: &RobotState, radius: f64) -> Self {
-        let (sq, cq) = state.q_r.sin_cos();
-        let (sa, ca) = state.alpha.sin_cos();
-        let (st, ct) = (state.beta + state.q_r).sin_cos();
+    pub(super) fn of(attitude: &Attitude, radius: f64) -> Self {
+        let (sq, cq) = (attitude.q_r.sin, attitude.q_r.cos);
+        let (sa, ca) = (attitude.alpha.sin, attitude.alpha.cos);
+        let (st, ct) = (attitude.theta_r.sin, attitude.theta_r.cos);
         let shell_v = 1.0 / (radius * cq);
         let yaw_v = sq * shell_v;
         let per_radius = cq * yaw_v;

@@ -1,6 +1,10 @@
 //! Fuses scalar measurements one after the other, behind gates.
 
-use super::{ALPHA_RATE, Covariance, Filter, PIVOT, PIVOT_LINGERS, Q_R_RATE, SHELL, State, V};
+use arrayvec::ArrayVec;
+
+use super::{
+    ALPHA_RATE, Column, Covariance, Filter, PIVOT, PIVOT_LINGERS, Q_R_RATE, SHELL, STATES, V,
+};
 
 /// Scalar measurements whose innovation is gated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,10 +23,13 @@ pub(in crate::estimator) struct Gates {
 }
 
 /// One batch of scalar measurements with independent noise, fused one after the other.
+///
+/// P is changed once, at the end: until then it stands as P − Σ w wᵀ, with w = P hᵀ/√s of each measurement fused so far.
 pub(super) struct Correction<'a> {
     filter: &'a mut Filter,
     /// Sum of the corrections so far; the state moves once, at the end, because all derivatives belong to the same point.
-    dx: State,
+    dx: Column,
+    fused: ArrayVec<Column, FUSED_MAX>,
     gates: Gates,
 }
 
@@ -30,28 +37,36 @@ impl<'a> Correction<'a> {
     pub(super) fn of(filter: &'a mut Filter) -> Self {
         Self {
             filter,
-            dx: State::zeros(),
+            dx: [0.0; STATES],
+            fused: ArrayVec::new(),
             gates: Gates::default(),
         }
     }
 
     /// Fuses one measurement: K = P hᵀ/s, P −= K s Kᵀ.
-    pub(super) fn plain(&mut self, h: &[(usize, f64)], residual: f64, variance: f64) {
-        let p_h = times(&self.filter.p, h);
+    #[inline(always)]
+    pub(super) fn plain<const N: usize>(
+        &mut self,
+        h: &[(usize, f64); N],
+        residual: f64,
+        variance: f64,
+    ) {
+        let p_h = self.times(h);
         let s = dot(h, &p_h) + variance;
         self.fuse(&p_h, residual - dot(h, &self.dx), s);
     }
 
     /// Fuses one measurement unless its innovation is beyond the gate. A channel that stays beyond it for three frames is believed:
     /// the state it measures most directly is opened to it (a pivot, a push, an encoder that restarted).
-    pub(super) fn gated(
+    #[inline(always)]
+    pub(super) fn gated<const N: usize>(
         &mut self,
         channel: Channel,
-        h: &[(usize, f64)],
+        h: &[(usize, f64); N],
         residual: f64,
         variance: f64,
     ) {
-        let mut p_h = times(&self.filter.p, h);
+        let mut p_h = self.times(h);
         let mut s = dot(h, &p_h) + variance;
         let innovation = residual - dot(h, &self.dx);
         let streak = &mut self.filter.streaks[channel as usize];
@@ -62,37 +77,76 @@ impl<'a> Correction<'a> {
             self.gates.rejected[channel as usize] = true;
             return;
         } else {
-            self.gates.reopened[channel as usize] = true;
-            if channel == Channel::GyroUp {
-                self.filter.pivoting = PIVOT_LINGERS;
-            }
-            let opened = channel.opened_state();
-            self.filter.p[(opened, opened)] += innovation * innovation;
-            *streak = streak.saturating_add(1);
-            if channel == Channel::Encoder && *streak >= SPEED_DOUBTED {
-                self.filter.p[(V, V)] += SPEED_DOUBT * SPEED_DOUBT;
-                *streak = STREAK_MAX;
-            }
-            p_h = times(&self.filter.p, h);
+            self.open(channel, innovation);
+            p_h = self.times(h);
             s = dot(h, &p_h) + variance;
         }
         self.fuse(&p_h, innovation, s);
     }
 
-    fn fuse(&mut self, p_h: &State, innovation: f64, s: f64) {
-        let gain = p_h / s;
-        self.dx += gain * innovation;
-        let (gain, p_h) = (&gain.data.0[0], &p_h.data.0[0]);
-        for (column, weight) in self.filter.p.data.0.iter_mut().zip(gain) {
-            for (entry, other) in column.iter_mut().zip(p_h) {
-                *entry -= weight * other;
-            }
+    pub(super) fn finish(mut self) -> Gates {
+        self.change_covariance();
+        for (x, dx) in self.filter.x.data.0[0].iter_mut().zip(&self.dx) {
+            *x += dx;
+        }
+        self.gates
+    }
+
+    /// Opens what a channel measures to an innovation that its gate has refused for too long.
+    #[cold]
+    fn open(&mut self, channel: Channel, innovation: f64) {
+        self.gates.reopened[channel as usize] = true;
+        if channel == Channel::GyroUp {
+            self.filter.pivoting = PIVOT_LINGERS;
+        }
+        let opened = channel.opened_state();
+        self.filter.p[(opened, opened)] += innovation * innovation;
+        let streak = &mut self.filter.streaks[channel as usize];
+        *streak = streak.saturating_add(1);
+        if channel == Channel::Encoder && *streak >= SPEED_DOUBTED {
+            self.filter.p[(V, V)] += SPEED_DOUBT * SPEED_DOUBT;
+            *streak = STREAK_MAX;
         }
     }
 
-    pub(super) fn finish(self) -> Gates {
-        self.filter.x += self.dx;
-        self.gates
+    /// P hᵀ for the few entries of h, with P as it stands.
+    #[inline(always)]
+    fn times<const N: usize>(&self, h: &[(usize, f64); N]) -> Column {
+        let mut sum = times(&self.filter.p, h);
+        for w in &self.fused {
+            let share = dot(h, w);
+            for (sum, w) in sum.iter_mut().zip(w) {
+                *sum -= share * w;
+            }
+        }
+        sum
+    }
+
+    fn fuse(&mut self, p_h: &Column, innovation: f64, s: f64) {
+        if self.fused.is_full() {
+            self.change_covariance();
+        }
+        let per_root = 1.0 / s.sqrt();
+        let w = p_h.map(|p_h| p_h * per_root);
+        let pull = innovation * per_root;
+        for (dx, w) in self.dx.iter_mut().zip(&w) {
+            *dx += pull * w;
+        }
+        self.fused.push(w);
+    }
+
+    /// P −= Σ w wᵀ: symmetric to the last bit, because products commute. Half of it would cost more: its loops do not fill the
+    /// processor's registers evenly.
+    fn change_covariance(&mut self) {
+        for (j, column) in self.filter.p.data.0.iter_mut().enumerate() {
+            for w in &self.fused {
+                let weight = w[j];
+                for (entry, w) in column.iter_mut().zip(w) {
+                    *entry -= weight * w;
+                }
+            }
+        }
+        self.fused.clear();
     }
 }
 
@@ -119,21 +173,20 @@ impl Channel {
 }
 
 /// P hᵀ for the few entries of h.
-pub(super) fn times(p: &Covariance, h: &[(usize, f64)]) -> State {
-    let mut sum = State::zeros();
-    for &(state, weight) in h {
-        for (entry, value) in sum.data.0[0].iter_mut().zip(&p.data.0[state]) {
-            *entry += weight * value;
-        }
-    }
-    sum
+#[inline(always)]
+pub(super) fn times<const N: usize>(p: &Covariance, h: &[(usize, f64); N]) -> Column {
+    let p = &p.data.0;
+    core::array::from_fn(|j| h.iter().map(|&(state, weight)| weight * p[state][j]).sum())
 }
 
 /// h x.
-pub(super) fn dot(h: &[(usize, f64)], x: &State) -> f64 {
+#[inline(always)]
+pub(super) fn dot<const N: usize>(h: &[(usize, f64); N], x: &Column) -> f64 {
     h.iter().map(|&(state, weight)| weight * x[state]).sum()
 }
 
+/// The most measurements that one frame gives: gyro, encoder, floor, and three rates at rest.
+const FUSED_MAX: usize = 8;
 /// Frames that a gate refuses in a row before the channel is believed.
 const STREAK_MAX: u8 = 3;
 /// Frames in a row in which the encoder contradicts the speed before the speed is doubted: half a second. By then a dead encoder

@@ -33,8 +33,18 @@ pub(super) struct Motion {
 
 impl Trig {
     pub(super) fn of(q_r: f64, alpha: f64) -> Self {
-        let (sin_r, cos_r) = q_r.sin_cos();
-        let (sin_a, cos_a) = alpha.sin_cos();
+        Self::new(q_r.sin_cos(), alpha.sin_cos())
+    }
+
+    /// Those of angles that differ by `roll` and `pitch` [rad], which are small within a frame.
+    pub(super) fn turned(&self, roll: f64, pitch: f64) -> Self {
+        Self::new(
+            sum((self.sin_r, self.cos_r), roll),
+            sum((self.sin_a, self.cos_a), pitch),
+        )
+    }
+
+    fn new((sin_r, cos_r): (f64, f64), (sin_a, cos_a): (f64, f64)) -> Self {
         Self {
             sin_r,
             cos_r,
@@ -44,6 +54,25 @@ impl Trig {
         }
     }
 }
+
+/// Sine and cosine of an angle and `by` [rad] more, by the addition theorems. Of a small `by` they come from their series, a quarter of
+/// the library's cost: up to 0.1 rad what is left out is below 3e-17.
+fn sum((sin, cos): (f64, f64), by: f64) -> (f64, f64) {
+    let (sin_by, cos_by) = if by.abs() <= 0.1 {
+        let q = by * by;
+        let odd = SIN[0] + q * (SIN[1] + q * (SIN[2] + q * SIN[3]));
+        let even = COS[0] + q * (COS[1] + q * (COS[2] + q * COS[3]));
+        (by + by * q * odd, 1.0 + q * even)
+    } else {
+        by.sin_cos()
+    };
+    (sin * cos_by + cos * sin_by, cos * cos_by - sin * sin_by)
+}
+
+/// −1/3!, 1/5!, −1/7!, 1/9!
+const SIN: [f64; 4] = [-1.0 / 6.0, 1.0 / 120.0, -1.0 / 5040.0, 1.0 / 362_880.0];
+/// −1/2!, 1/4!, −1/6!, 1/8!
+const COS: [f64; 4] = [-0.5, 1.0 / 24.0, -1.0 / 720.0, 1.0 / 40_320.0];
 
 impl Motion {
     /// The acceleration of the centre is v̇ − R q̇_r φ̇ forward and R q̈_r + v φ̇ left; the specific force adds g upward.
@@ -81,6 +110,25 @@ impl Motion {
             yaw_rate,
             v_rate: forward + radius * q_r_rate * yaw_rate,
             q_r_accel: (left - v * yaw_rate) / radius,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn turned_angles_are_as_good_as_computed_ones() {
+        for angle in [-1.4, -0.2, 0.0, 0.35, 1.2] {
+            for by in [-0.5, -0.1, -0.03, 0.0, 1e-6, 0.02, 0.1] {
+                let turned = Trig::of(angle, angle).turned(by, by);
+                let (sin, cos) = (angle + by).sin_cos();
+                let errors = [turned.sin_r - sin, turned.cos_r - cos, turned.sin_a - sin];
+                // Four roundings of numbers up to 1, and that of the sum of the angles.
+                let worst = errors.into_iter().map(f64::abs).fold(0.0, f64::max);
+                assert!(worst <= 4.0 * f64::EPSILON, "{angle} + {by}: {worst:e}");
+            }
         }
     }
 }
