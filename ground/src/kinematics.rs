@@ -136,13 +136,7 @@ impl<const NX: usize> Discretisation<NX> {
 
     /// Δ, R, and the shares `left`, `mean` and `slide`, for the planner's fast path.
     pub(crate) fn numbers(&self) -> [f64; 5] {
-        [
-            self.period,
-            self.radius,
-            self.left,
-            self.mean,
-            self.slide(),
-        ]
+        [self.period, self.radius, self.left, self.mean, self.slide()]
     }
 
     /// Whether every number of the model is finite and makes sense: period and radius positive, lag positive.

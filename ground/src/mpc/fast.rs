@@ -42,6 +42,21 @@ enum Lane {
     Left(u32),
 }
 
+/// One lane while its problem is being loaded.
+struct Head<const NX: usize> {
+    /// Whether all so far makes sense.
+    is_good: bool,
+    /// State where the next stage begins.
+    x: [f64; NX],
+    /// Turns by which the last solution's heading differs [rad].
+    turns: f64,
+    /// Stages at whose end the last solution has a state.
+    known: usize,
+    /// Row of the references that belongs to the first stage's end.
+    first_row: usize,
+    model: Model<f64>,
+}
+
 /// Solves up to [`Lanes::WIDTH`] ticks of one shape, all of which [`Mpc::may_be_fast`]; by `sqp` what leaves the path.
 fn drive<E: Engine, const NX: usize>(
     engine: E,
@@ -53,14 +68,26 @@ fn drive<E: Engine, const NX: usize>(
     };
     sweep.resize(stages_of(first.problem));
     let mut lanes = [Lane::Left(0); LANES_MAX];
-    for (lane, tick) in ticks.iter().enumerate() {
-        if tick.mpc.load(sweep, lane, tick.problem) {
-            lanes[lane] = Lane::Running(f64::INFINITY);
+    // Idle lanes compute the first robot's plan once more.
+    let mut heads: [Head<NX>; LANES_MAX] = core::array::from_fn(|lane| {
+        let tick = ticks.get(lane).unwrap_or(&ticks[0]);
+        if lane < E::Lanes::WIDTH {
+            tick.mpc.load_head(sweep, lane, tick.problem)
+        } else {
+            Head::nothing()
+        }
+    });
+    // Stage by stage, so that each line of the scratch space is written at once.
+    for k in 0..sweep.stages.len() {
+        for (lane, head) in heads.iter_mut().enumerate().take(E::Lanes::WIDTH) {
+            let tick = ticks.get(lane).unwrap_or(&ticks[0]);
+            tick.mpc.load_stage(sweep, lane, tick.problem, head, k);
         }
     }
-    // Idle lanes compute the first robot's plan once more.
-    for lane in ticks.len()..E::Lanes::WIDTH {
-        ticks[0].mpc.load(sweep, lane, ticks[0].problem);
+    for lane in 0..ticks.len() {
+        if heads[lane].is_good {
+            lanes[lane] = Lane::Running(f64::INFINITY);
+        }
     }
     let is_convex = engine.check(sweep);
     for (lane, state) in lanes.iter_mut().enumerate().take(ticks.len()) {
@@ -84,7 +111,11 @@ fn drive<E: Engine, const NX: usize>(
             } else {
                 STEP
             };
-            let is_converged = size2 <= tolerance * tolerance;
+            // Two steps tell the rate e⁺ = C e² and so the error that the second one leaves.
+            let is_near = iteration > 1
+                && !E::Lanes::holds(&outcome.is_limited, lane)
+                && size2 * size2 * size2 <= before * before * (ERROR * ERROR);
+            let is_converged = size2 <= tolerance * tolerance || is_near;
             // Written so that NaN leaves too.
             let is_good = E::Lanes::holds(&outcome.is_sound, lane)
                 && size2 <= STEP_MAX * STEP_MAX
@@ -136,7 +167,7 @@ impl<const NX: usize> Mpc<NX> {
     /// Solves `problem` alone if [`Self::may_be_fast`].
     pub(super) fn solve_alone(&mut self, problem: &Problem<NX>) {
         let mut sweep = core::mem::replace(&mut self.alone.0, Sweep::new());
-        drive(Scalar, &mut sweep, &mut [Tick { mpc: self, problem }]);
+        drive(Scalar, &mut sweep, &mut [Tick::new(self, problem)]);
         self.alone.0 = sweep;
     }
 
@@ -169,9 +200,13 @@ impl<const NX: usize> Mpc<NX> {
                 .is_none_or(|limit| limit >= 0.0 && limit < f64::INFINITY && !is_measured)
     }
 
-    /// Puts `problem` and the last solution into `lane` of `sweep`. Whether they make sense.
-    fn load<L: Lanes>(&self, sweep: &mut Sweep<L, NX>, lane: usize, problem: &Problem<NX>) -> bool {
-        let point = &self.sqp.point;
+    /// Puts what all stages of `problem` share into `lane` of `sweep`, and the first state.
+    fn load_head<L: Lanes>(
+        &self,
+        sweep: &mut Sweep<L, NX>,
+        lane: usize,
+        problem: &Problem<NX>,
+    ) -> Head<NX> {
         let stages = stages_of(problem);
         let mut model = Model::zero();
         model.set_lane(0, &problem.model);
@@ -187,53 +222,65 @@ impl<const NX: usize> Mpc<NX> {
         sweep.turn_limit.set_lane(lane, limit);
 
         let given: [f64; NX] = problem.x0.into();
-        let (start, first_row) = match problem.first_input {
+        let (x, first_row) = match problem.first_input {
             FirstInput::Decided => (given, 0),
             FirstInput::Measured => {
                 let u: [f64; 2] = problem.u_prev.into();
                 is_good &= model.is_near(&given, &u);
+                // The input without effect is no part of the sweep.
+                is_good &= are_bounds(&problem.u_min[stages], &problem.u_max[stages]);
                 (model.step(&given, &u), 1)
             }
         };
+        for (j, value) in x.iter().enumerate() {
+            sweep.x[0][j].set_lane(lane, *value);
+        }
         // A heading is the same after a turn, the plan must be near the one given.
         let turn = core::f64::consts::TAU;
-        let turns = ((start[2] - point.x[0][2]) / turn).round() * turn;
-        let mut x = start;
-        // Where the last solution ends its last input is held.
-        let known = stages.saturating_sub(self.shifted);
-        for (k, stage) in sweep.stages.iter_mut().enumerate() {
-            let mut width = [0.0; 2];
-            let u: [f64; 2] = point.u[k].into();
-            for j in 0..NX {
-                sweep.x[k][j].set_lane(lane, x[j]);
-                stage.x_ref[j].set_lane(lane, problem.x_ref[k + first_row][j]);
-            }
-            for j in 0..2 {
-                let (lower, upper) = (problem.u_min[k][j], problem.u_max[k][j]);
-                width[j] = upper - lower;
-                stage.u_ref[j].set_lane(lane, problem.u_ref[k][j]);
-                stage.lower[j].set_lane(lane, lower);
-                stage.upper[j].set_lane(lane, upper);
-                stage.u[j].set_lane(lane, u[j]);
-            }
-            is_good &= are_bounds(width, problem.u_min[k][1], problem.u_max[k][1]);
-            x = if k < known {
-                let mut next: [f64; NX] = point.x[k + 1].into();
-                next[2] += turns;
-                next
-            } else {
-                model.step(&x, &u)
-            };
+        Head {
+            is_good,
+            x,
+            turns: ((x[2] - self.sqp.point.x[0][2]) / turn).round() * turn,
+            known: stages.saturating_sub(self.shifted),
+            first_row,
+            model,
         }
+    }
+
+    /// Puts stage `k` of `problem` and of the last solution into `lane` of `sweep`.
+    #[inline(always)]
+    fn load_stage<L: Lanes>(
+        &self,
+        sweep: &mut Sweep<L, NX>,
+        lane: usize,
+        problem: &Problem<NX>,
+        head: &mut Head<NX>,
+        k: usize,
+    ) {
+        let point = &self.sqp.point;
+        let stage = &mut sweep.stages[k];
+        let u: [f64; 2] = point.u[k].into();
+        let (x_ref, u_ref) = (&problem.x_ref[k + head.first_row], &problem.u_ref[k]);
+        let (lower, upper) = (&problem.u_min[k], &problem.u_max[k]);
+        head.is_good &= are_bounds(lower, upper);
+        for j in 0..2 {
+            stage.u_ref[j].set_lane(lane, u_ref[j]);
+            stage.lower[j].set_lane(lane, lower[j]);
+            stage.upper[j].set_lane(lane, upper[j]);
+            stage.u[j].set_lane(lane, u[j]);
+        }
+        head.x = if k < head.known {
+            let mut next: [f64; NX] = point.x[k + 1].into();
+            next[2] += head.turns;
+            next
+        } else {
+            // Where the last solution ends its last input is held.
+            head.model.step(&head.x, &u)
+        };
         for j in 0..NX {
-            sweep.x[stages][j].set_lane(lane, x[j]);
+            stage.x_ref[j].set_lane(lane, x_ref[j]);
+            sweep.x[k + 1][j].set_lane(lane, head.x[j]);
         }
-        if first_row == 1 {
-            // The state that is fixed and the input without effect are no part of the sweep.
-            let (min, max) = (&problem.u_min[stages], &problem.u_max[stages]);
-            is_good &= are_bounds([max[0] - min[0], max[1] - min[1]], min[1], max[1]);
-        }
-        is_good
     }
 
     /// Makes `lane` of `sweep` the solution. Whether it is one, of numbers.
@@ -314,18 +361,39 @@ impl<const NX: usize> Mpc<NX> {
     }
 }
 
-/// Whether bounds of such `width` [m/s, rad], and of the roll from `min` to `max` [rad], are numbers in the right order.
-fn are_bounds(width: [f64; 2], min: f64, max: f64) -> bool {
+impl<const NX: usize> Head<NX> {
+    /// Of no robot.
+    fn nothing() -> Self {
+        Self {
+            is_good: false,
+            x: [0.0; NX],
+            turns: 0.0,
+            known: 0,
+            first_row: 0,
+            model: Model::zero(),
+        }
+    }
+}
+
+/// Whether bounds [m/s, rad] are numbers in the right order, and rolls.
+fn are_bounds(min: &Vector2<f64>, max: &Vector2<f64>) -> bool {
+    let width = max - min;
     let end = core::f64::consts::FRAC_PI_2;
-    width.iter().all(|width| (0.0..f64::INFINITY).contains(width)) && min > -end && max < end
+    width
+        .iter()
+        .all(|width| (0.0..f64::INFINITY).contains(width))
+        && min[1] > -end
+        && max[1] < end
 }
 
 /// Iterations before the fast path gives up: ordinary ticks take two or three.
 const ITERATIONS_MAX: u32 = 8;
 /// A converged step, 2-norm over all states and inputs [m, rad, m/s]: the error that it leaves is of the order of its square.
 const STEP: f64 = 1e-6;
-/// The same where the turn limit narrows a bound: the bound follows the last iterate's speed and leaves an error of the step's order.
+/// The same where a bound follows the last iterate's speed or stopped a step: the error left is of the step's own order.
 const STEP_LIMITED: f64 = 1e-9;
+/// Error, extrapolated from the last two steps, that also counts as converged.
+const ERROR: f64 = 1e-12;
 /// Largest step, 2-norm: beyond it the last solution tells little about the next.
 const STEP_MAX: f64 = 10.0;
 /// A step may be so many times the one before.

@@ -5,10 +5,9 @@ use crate::mpc::{FirstInput, Mpc, Problem};
 
 /// One robot's tick in a [`Batch`].
 pub struct Tick<'a, const NX: usize> {
-    /// Its solver, shifted already, with its last solution; the new one is [`Mpc::solution`].
-    pub mpc: &'a mut Mpc<NX>,
-    /// What to solve.
-    pub problem: &'a Problem<NX>,
+    pub(super) mpc: &'a mut Mpc<NX>,
+    pub(super) problem: &'a Problem<NX>,
+    shape: Shape,
 }
 
 /// Solves many robots' problems, as many at a time as the machine's registers have lanes (eight with AVX-512, four with AVX2).
@@ -37,14 +36,11 @@ impl<const NX: usize> Batch<NX> {
     ///
     /// Allocates nothing but room for a horizon that is longer than any before, and what [`Mpc::solve`] does.
     pub fn solve(&mut self, ticks: &mut [Tick<'_, NX>]) {
-        for tick in &mut *ticks {
-            tick.mpc.prepare(tick.problem);
-        }
-        ticks.sort_unstable_by_key(Tick::shape);
+        ticks.sort_unstable_by_key(|tick| tick.shape);
         let mut rest = ticks;
         while let Some(first) = rest.first() {
-            let shape = first.shape();
-            let alike = rest.iter().take_while(|tick| tick.shape() == shape).count();
+            let shape = first.shape;
+            let alike = rest.iter().take_while(|tick| tick.shape == shape).count();
             let (group, others) = core::mem::take(&mut rest).split_at_mut(alike);
             rest = others;
             for chunk in group.chunks_mut(self.wide.width()) {
@@ -74,12 +70,19 @@ struct Shape {
     horizon: usize,
 }
 
-impl<const NX: usize> Tick<'_, NX> {
-    fn shape(&self) -> Shape {
-        Shape {
-            is_fast: self.mpc.may_be_fast(self.problem),
-            is_measured: self.problem.first_input == FirstInput::Measured,
-            horizon: self.problem.horizon(),
+impl<'a, const NX: usize> Tick<'a, NX> {
+    /// Of a solver that is shifted already, with its last solution; the new one is [`Mpc::solution`].
+    pub fn new(mpc: &'a mut Mpc<NX>, problem: &'a Problem<NX>) -> Self {
+        mpc.prepare(problem);
+        let shape = Shape {
+            is_fast: mpc.may_be_fast(problem),
+            is_measured: problem.first_input == FirstInput::Measured,
+            horizon: problem.horizon(),
+        };
+        Self {
+            mpc,
+            problem,
+            shape,
         }
     }
 }

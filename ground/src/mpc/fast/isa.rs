@@ -7,12 +7,12 @@
 
 use core::any::Any;
 
+use super::batch::Tick;
 use super::drive;
 use super::lanes::Lanes;
 use super::sweep::{Outcome, Sweep};
 #[cfg(target_arch = "x86_64")]
 use super::x86::{Avx2, Avx512};
-use super::batch::Tick;
 
 /// Vector instructions that this machine has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -100,10 +100,7 @@ pub(super) trait Engine: Copy {
     type Lanes: Lanes;
 
     /// One iteration.
-    fn iterate<const NX: usize>(
-        self,
-        sweep: &mut Sweep<Self::Lanes, NX>,
-    ) -> Outcome<Self::Lanes>;
+    fn iterate<const NX: usize>(self, sweep: &mut Sweep<Self::Lanes, NX>) -> Outcome<Self::Lanes>;
 
     /// Where the terminal weights are positive semidefinite.
     fn check<const NX: usize>(

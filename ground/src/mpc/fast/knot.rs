@@ -82,10 +82,7 @@ impl<L: Lanes> Model<L> {
         let (v, q, side) = self.means(x, u);
         let g = v * self.k * tan_near(q);
         let z = g * g;
-        let m = [
-            polynomial(z, &CHORD_RE),
-            g * polynomial(z, &CHORD_IM),
-        ];
+        let m = [polynomial(z, &CHORD_RE), g * polynomial(z, &CHORD_IM)];
         let (sin, cos) = sin_cos(x[2]);
         let m = turned(m, cos, sin);
         let way = scaled(m, v * self.period, side);
@@ -138,10 +135,7 @@ impl<L: Lanes> Model<L> {
         let g_qq = tq + tq;
         let is_near = near(g, q, x[2]);
         let z = g * g;
-        let m = [
-            polynomial(z, &CHORD_RE),
-            g * polynomial(z, &CHORD_IM),
-        ];
+        let m = [polynomial(z, &CHORD_RE), g * polynomial(z, &CHORD_IM)];
         let m1 = [g * polynomial(z, &FIRST_RE), polynomial(z, &FIRST_IM)];
         let m2 = [polynomial(z, &SECOND_RE), g * polynomial(z, &SECOND_IM)];
         let (sin, cos) = sin_cos(x[2]);
@@ -251,10 +245,7 @@ fn turned<L: Lanes>(z: [L; 2], cos: L, sin: L) -> [L; 2] {
 /// (forward + i side) z.
 #[inline(always)]
 fn scaled<L: Lanes>(z: [L; 2], forward: L, side: L) -> [L; 2] {
-    [
-        forward * z[0] - side * z[1],
-        forward * z[1] + side * z[0],
-    ]
+    [forward * z[0] - side * z[1], forward * z[1] + side * z[0]]
 }
 
 /// [`scaled`]; with three states nothing goes sideways.

@@ -61,7 +61,7 @@ pub(super) struct Outcome<L: Lanes> {
     pub(super) size2: L,
     /// Q_uu was positive definite, and every knot within the series.
     pub(super) is_sound: L::Mask,
-    /// The turn limit narrowed a bound.
+    /// The turn limit narrowed a bound, or a bound stopped an input that was free: what is left is of the step's order, not its square's.
     pub(super) is_limited: L::Mask,
 }
 
@@ -116,10 +116,11 @@ impl<L: Lanes, const NX: usize> Sweep<L, NX> {
     #[inline(always)]
     pub(super) fn iterate(&mut self) -> Outcome<L> {
         let (is_sound, is_limited) = self.backward();
+        let (size2, is_cut) = self.forward();
         Outcome {
-            size2: self.forward(),
+            size2,
             is_sound,
-            is_limited,
+            is_limited: L::either(is_limited, is_cut),
         }
     }
 
@@ -232,14 +233,8 @@ impl<L: Lanes, const NX: usize> Sweep<L, NX> {
             let mut is_free = [L::mask(true); 2];
             let mut fixed = [number(0.0); 2];
             for j in 0..2 {
-                let is_low = L::and(
-                    L::not(lower[j].less(u[j])),
-                    number(0.0).less(gradient[j]),
-                );
-                let is_high = L::and(
-                    L::not(u[j].less(upper[j])),
-                    gradient[j].less(number(0.0)),
-                );
+                let is_low = L::and(L::not(lower[j].less(u[j])), number(0.0).less(gradient[j]));
+                let is_high = L::and(L::not(u[j].less(upper[j])), gradient[j].less(number(0.0)));
                 fixed[j] = (lower[j] - u[j]).or(is_low, (upper[j] - u[j]).or(is_high, number(0.0)));
                 is_free[j] = L::not(L::either(is_low, is_high));
             }
@@ -311,12 +306,13 @@ impl<L: Lanes, const NX: usize> Sweep<L, NX> {
         (is_sound, is_limited)
     }
 
-    /// Takes the step. Returns the square of its 2-norm.
+    /// Takes the step. Returns the square of its 2-norm, and where a bound stopped an input.
     #[inline(always)]
-    fn forward(&mut self) -> L {
+    fn forward(&mut self) -> (L, L::Mask) {
         let number = L::splat;
         let model = self.model;
         let mut size2 = number(0.0);
+        let mut cut = number(0.0);
         let mut dx = [number(0.0); NX];
         for (i, stage) in self.stages.iter_mut().enumerate() {
             let mut du = stage.k;
@@ -325,12 +321,11 @@ impl<L: Lanes, const NX: usize> Sweep<L, NX> {
                     du[j] = du[j] + stage.gain[j][l] * dx[l];
                 }
             }
-            let v = (stage.u[0] + du[0])
-                .greater(stage.lower[0])
-                .lesser(stage.upper[0]);
-            let q = (stage.u[1] + du[1])
-                .greater(stage.roll[0])
-                .lesser(stage.roll[1]);
+            let whole = [stage.u[0] + du[0], stage.u[1] + du[1]];
+            let v = whole[0].greater(stage.lower[0]).lesser(stage.upper[0]);
+            let q = whole[1].greater(stage.roll[0]).lesser(stage.roll[1]);
+            cut = cut.greater((whole[0] - v).abs());
+            cut = cut.greater((whole[1] - q).abs());
             du = [v - stage.u[0], q - stage.u[1]];
             stage.u = [v, q];
             let (mean_v, q_c) = if NX == 5 {
@@ -359,7 +354,7 @@ impl<L: Lanes, const NX: usize> Sweep<L, NX> {
             }
             size2 = size2 + sum;
         }
-        size2
+        (size2, number(ROUNDING).less(cut))
     }
 
     /// Cost of the iterate without that of its first state. Not finite if any number of the problem is not.
@@ -543,3 +538,5 @@ fn dot<L: Lanes>(a: &[L; 3], b: &[L; 3]) -> L {
 
 /// Least pivot of Q_uu, that of `riccati`.
 const PIVOT_MIN: f64 = 1e-9;
+/// What rounding leaves beside a bound [m/s, rad].
+const ROUNDING: f64 = 1e-12;

@@ -138,7 +138,10 @@ mod tests {
             for scale in [1e-9, 0.7, 7.0, 1e3, ANGLE_MAX] {
                 let (sin, cos) = sin_cos(x * scale);
                 let (s, c) = (x * scale).sin_cos();
-                assert!((sin - s).abs() < 3e-16 && (cos - c).abs() < 3e-16, "{x} {scale}");
+                assert!(
+                    (sin - s).abs() < 3e-16 && (cos - c).abs() < 3e-16,
+                    "{x} {scale}"
+                );
             }
             let tan = tan_near(x * 0.78);
             assert!((tan - (x * 0.78).tan()).abs() <= 4e-16, "{x}");
