@@ -12,7 +12,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use nalgebra::{Vector2, Vector5};
-use sphere_ground::mpc::{HalfPlane, Mpc, Options, Status, terminal_weight};
+use sphere_ground::mpc::{Batch, HalfPlane, Mpc, Options, Path, Status, Tick, terminal_weight};
 use tracking::{ALL, Trajectory, centre, paper};
 
 /// The system's allocator, counting the calls of each thread.
@@ -102,6 +102,36 @@ fn solve_of_the_papers_problem_allocates_nothing() {
             assert_eq!(mpc.solve(&problem).status, Status::Solved);
         });
         assert_eq!(count, 0, "tick {tick}");
+    }
+}
+
+/// A batch, once it has room for its horizon.
+#[test]
+fn batch_allocates_nothing() {
+    let mut mpcs: Vec<_> = (0..13).map(|_| Mpc::new(20, Options::default())).collect();
+    let mut batch = Batch::new();
+    for tick in 0..5 {
+        let problems: Vec<_> = (0..mpcs.len())
+            .map(|i| {
+                let time = f64::from(tick) * 0.1 + i as f64;
+                let (pose, u) = ALL[i % 3].at(time);
+                centre(ALL[i % 3], time, [pose[0], pose[1], pose[2], u[0], u[1]])
+            })
+            .collect();
+        for mpc in &mut mpcs {
+            mpc.shift(1);
+        }
+        let mut ticks: Vec<_> = mpcs
+            .iter_mut()
+            .zip(&problems)
+            .map(|(mpc, problem)| Tick::new(mpc, problem))
+            .collect();
+        let count = allocations_in(|| batch.solve(&mut ticks));
+        drop(ticks);
+        if tick > 1 {
+            assert!(mpcs.iter().all(|mpc| mpc.solution().path == Path::Fast));
+            assert_eq!(count, 0, "tick {tick}");
+        }
     }
 }
 

@@ -134,6 +134,11 @@ impl<const NX: usize> Discretisation<NX> {
         self.radius
     }
 
+    /// Δ, R, and the shares `left`, `mean` and `slide`, for the planner's fast path.
+    pub(crate) fn numbers(&self) -> [f64; 5] {
+        [self.period, self.radius, self.left, self.mean, self.slide()]
+    }
+
     /// Whether every number of the model is finite and makes sense: period and radius positive, lag positive.
     pub fn is_valid(&self) -> bool {
         let lag = NX == 3 || (self.left >= 0.0 && self.left < 1.0 && self.mean > 0.0);
@@ -437,24 +442,34 @@ const SERIES_MAX: f64 = 0.6;
 const TERMS: usize = 8;
 
 /// Coefficients in z = g² of Re M, Im M/g, Re M′/g, Im M′, Re M″, Im M″/g, where M = Σ (ig)ⁿ/(n + 1)!.
-const SERIES: [[f64; TERMS]; 6] = series();
+const SERIES: [[f64; TERMS]; 6] = [
+    chord_series(0),
+    chord_series(1),
+    chord_series(2),
+    chord_series(3),
+    chord_series(4),
+    chord_series(5),
+];
 
-const fn series() -> [[f64; TERMS]; 6] {
-    let mut all = [[0.0; TERMS]; 6];
+/// The first N coefficients of one row of [`SERIES`].
+pub(crate) const fn chord_series<const N: usize>(row: usize) -> [f64; N] {
+    let mut coefficients = [0.0; N];
     let mut k = 0;
-    while k < TERMS {
+    while k < N {
         let n = (2 * k) as f64; // even power of g in Re M, odd n + 1 in Im M
         let sign = if k % 2 == 0 { 1.0 } else { -1.0 };
-        all[0][k] = sign / factorial(2 * k + 1);
-        all[1][k] = sign / factorial(2 * k + 2);
-        // d/dg of gⁿ⁺² in Re M is (n + 2) gⁿ⁺¹, whose coefficient has the next sign.
-        all[2][k] = -sign * (n + 2.0) / factorial(2 * k + 3);
-        all[3][k] = sign * (n + 1.0) / factorial(2 * k + 2);
-        all[4][k] = -sign * (n + 2.0) * (n + 1.0) / factorial(2 * k + 3);
-        all[5][k] = -sign * (n + 3.0) * (n + 2.0) / factorial(2 * k + 4);
+        coefficients[k] = match row {
+            0 => sign / factorial(2 * k + 1),
+            1 => sign / factorial(2 * k + 2),
+            // d/dg of gⁿ⁺² in Re M is (n + 2) gⁿ⁺¹, whose coefficient has the next sign.
+            2 => -sign * (n + 2.0) / factorial(2 * k + 3),
+            3 => sign * (n + 1.0) / factorial(2 * k + 2),
+            4 => -sign * (n + 2.0) * (n + 1.0) / factorial(2 * k + 3),
+            _ => -sign * (n + 3.0) * (n + 2.0) / factorial(2 * k + 4),
+        };
         k += 1;
     }
-    all
+    coefficients
 }
 
 const fn factorial(n: usize) -> f64 {

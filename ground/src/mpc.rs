@@ -7,6 +7,7 @@
 mod bounds;
 mod clarabel;
 pub mod dare;
+mod fast;
 mod kkt;
 pub mod problem;
 mod riccati;
@@ -16,9 +17,11 @@ mod subproblem;
 
 use self::clarabel::ClarabelQp;
 pub use self::dare::terminal_weight;
+use self::fast::Alone;
+pub use self::fast::{Batch, InstructionSet, Tick};
 pub use self::kkt::kkt_residual;
 pub use self::problem::{FirstInput, HALF_PLANES_MAX, HalfPlane, Problem, ProblemError};
-pub use self::solution::{Method, Refusal, Solution, Solver, Status, UnknownSolver};
+pub use self::solution::{Method, Path, Refusal, Solution, Solver, Status, UnknownSolver};
 use self::sqp::{Outcome, Quadratic, Sqp};
 
 /// How to solve.
@@ -32,6 +35,20 @@ pub struct Options {
     pub iterations_warm: u32,
     /// Most SQP iterations by Clarabel. Default 200: Gauss-Newton steps alone converge slowly far from the reference.
     pub iterations_clarabel: u32,
+    /// How far a warm tick is taken. Default [`Effort::Converge`].
+    pub effort: Effort,
+}
+
+/// How far a warm tick is taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Effort {
+    /// To the optimum.
+    #[default]
+    Converge,
+    /// The real-time iteration: one exact step from the last solution. Its inputs are within their bounds and its states obey the
+    /// dynamics; the status is [`Status::MaxIterations`] unless the step was so small that the point is optimal. In tracking
+    /// the ticks converge together with the robot. A tick that the fast path cannot step from is solved as with `Converge`.
+    RealTime,
 }
 
 /// Solves one robot's problems, tick after tick, each from the last solution.
@@ -41,8 +58,13 @@ pub struct Mpc<const NX: usize> {
     options: Options,
     sqp: Sqp<NX>,
     clarabel: ClarabelQp<NX>,
-    /// Whether `sqp` holds a solution to start from.
-    warm: bool,
+    /// Whether `sqp.point` is a solution to start from.
+    is_warm: bool,
+    /// Whether the rest of `sqp`, its costates and active sets, belongs to that point: not after a tick on the fast path.
+    is_adopted: bool,
+    /// Knots by which the point was moved on since it was the solution.
+    shifted: usize,
+    alone: Alone<NX>,
     solution: Solution<NX>,
 }
 
@@ -53,6 +75,7 @@ impl Default for Options {
             iterations_cold: 100,
             iterations_warm: 20,
             iterations_clarabel: 200,
+            effort: Effort::Converge,
         }
     }
 }
@@ -64,20 +87,32 @@ impl<const NX: usize> Mpc<NX> {
             options,
             sqp: Sqp::new(horizon),
             clarabel: ClarabelQp::new(),
-            warm: false,
+            is_warm: false,
+            is_adopted: true,
+            shifted: 0,
+            alone: Alone::new(horizon),
             solution: Solution::new(horizon),
         }
     }
 
+    /// How far later ticks are taken.
+    pub fn set_effort(&mut self, effort: Effort) {
+        self.options.effort = effort;
+    }
+
     /// Forgets the last solution: the next solve starts from the references.
     pub fn reset(&mut self) {
-        self.warm = false;
+        self.is_warm = false;
     }
 
     /// Moves the last solution on by `knots`, for a problem that begins as much later. Nothing to do after a failure.
     pub fn shift(&mut self, knots: usize) {
-        if self.warm {
-            self.sqp.shift(knots);
+        if self.is_warm {
+            self.sqp.shift_point(knots);
+            if self.is_adopted {
+                self.sqp.shift_active(knots);
+            }
+            self.shifted = self.shifted.saturating_add(knots);
         }
     }
 
@@ -85,31 +120,59 @@ impl<const NX: usize> Mpc<NX> {
     ///
     /// A problem of another horizon than before makes new room. The solution stays readable until the next call.
     pub fn solve(&mut self, problem: &Problem<NX>) -> &Solution<NX> {
+        self.prepare(problem);
+        self.solve_prepared(problem);
+        &self.solution
+    }
+
+    /// Room for `problem`.
+    fn prepare(&mut self, problem: &Problem<NX>) {
         if problem.horizon() != self.sqp.point.u.len() {
             self.sqp = Sqp::new(problem.horizon());
-            self.warm = false;
+            self.is_warm = false;
         }
+    }
+
+    fn solve_prepared(&mut self, problem: &Problem<NX>) {
+        if self.may_be_fast(problem) {
+            self.solve_alone(problem);
+        } else {
+            self.search(problem, 0);
+        }
+    }
+
+    /// Solves `problem` by the searching SQP, after `iterations` on the fast path.
+    fn search(&mut self, problem: &Problem<NX>, iterations: u32) {
         self.solution.clear();
+        self.solution.iterations = iterations;
+        self.solution.path = Path::Searched;
         if let Err(error) = problem.validate() {
             return self.refuse(error.into());
         }
         if self.options.solver == Solver::Riccati && problem.couples_inputs() {
             return self.refuse(Refusal::NeedsClarabel);
         }
+        if self.is_warm && !self.is_adopted {
+            self.sqp.adopt_point(problem);
+        }
+        self.is_adopted = true;
+        self.shifted = 0;
         let outcome = self.attempt(problem);
-        self.warm = outcome == Outcome::Converged;
+        self.is_warm = outcome == Outcome::Converged;
         self.solution.status = match outcome {
             Outcome::Converged => Status::Solved,
             Outcome::Stalled => Status::MaxIterations,
             Outcome::Infeasible => Status::Infeasible,
         };
+        if self.solution.method == Method::Clarabel {
+            self.solution.path = Path::Clarabel;
+        }
         if outcome != Outcome::Infeasible {
             if outcome == Outcome::Stalled {
                 self.sqp.make_drivable(problem);
             }
             self.write_solution(problem);
         }
-        &self.solution
     }
 
     /// The last solution.
@@ -122,7 +185,7 @@ impl<const NX: usize> Mpc<NX> {
         let options = self.options;
         if options.solver != Solver::Clarabel && !problem.couples_inputs() {
             self.solution.method = Method::Riccati;
-            if self.warm {
+            if self.is_warm {
                 self.sqp.start_warm(problem);
                 if self.run_riccati(problem, options.iterations_warm) == Outcome::Converged {
                     return Outcome::Converged;
@@ -133,10 +196,10 @@ impl<const NX: usize> Mpc<NX> {
             if outcome == Outcome::Converged || options.solver == Solver::Riccati {
                 return outcome;
             }
-            self.warm = false;
+            self.is_warm = false;
         }
         self.solution.method = Method::Clarabel;
-        if self.warm {
+        if self.is_warm {
             self.sqp.start_warm(problem);
             if self.run_clarabel(problem) == Outcome::Converged {
                 return Outcome::Converged;
@@ -164,28 +227,29 @@ impl<const NX: usize> Mpc<NX> {
         run.outcome
     }
 
-    fn refuse(&mut self, refusal: Refusal) -> &Solution<NX> {
-        self.warm = false;
+    fn refuse(&mut self, refusal: Refusal) {
+        self.is_warm = false;
         self.solution.status = Status::Refused;
         self.solution.refusal = Some(refusal);
-        &self.solution
     }
 
     fn write_solution(&mut self, problem: &Problem<NX>) {
-        let point = &self.sqp.point;
-        let horizon = problem.horizon();
-        let solution = &mut self.solution;
-        solution.cost = subproblem::cost(problem, point);
+        self.solution.cost = subproblem::cost(problem, &self.sqp.point);
+        for k in 0..problem.horizon() {
+            self.solution.gains.push(*self.sqp.gain(k));
+        }
+        self.write_point(problem);
+    }
+
+    fn write_point(&mut self, problem: &Problem<NX>) {
+        let (point, solution) = (&self.sqp.point, &mut self.solution);
         solution.u.extend_from_slice(&point.u);
         match problem.first_input {
             FirstInput::Decided => solution.x.extend_from_slice(&point.x),
             FirstInput::Measured => {
                 solution.x.push(problem.x0);
-                solution.x.extend_from_slice(&point.x[..horizon]);
+                solution.x.extend_from_slice(&point.x[..problem.horizon()]);
             }
-        }
-        for k in 0..horizon {
-            solution.gains.push(*self.sqp.gain(k));
         }
     }
 }

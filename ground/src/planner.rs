@@ -10,7 +10,10 @@ use sphere_protocol::message::{KNOTS_MAX, PlanSource};
 use sphere_protocol::robot::Robot;
 
 use crate::kinematics::Discretisation;
-use crate::mpc::{FirstInput, Method, Mpc, Options, Problem, Solution, Status, terminal_weight};
+use crate::mpc::{
+    Batch, Effort, FirstInput, Method, Mpc, Options, Path, Problem, Solution, Status, Tick,
+    terminal_weight,
+};
 use crate::predictor::{ReferenceState, wrapped};
 use crate::settings::{KNOT, PlannerMode, PlannerSettings};
 use crate::trajectory::{Program, ReferencePoint};
@@ -28,6 +31,23 @@ pub struct Planner {
 enum Formulation {
     Lag(Box<(Problem<5>, Mpc<5>)>),
     Paper(Box<(Problem<3>, Mpc<3>)>),
+}
+
+/// Scratch space for many robots' plans at once, remembering nothing: one for each planning thread.
+#[derive(Default)]
+pub struct PlanBatch {
+    lag: Batch<5>,
+    paper: Batch<3>,
+}
+
+/// One robot's plan in a [`PlanBatch`].
+pub struct Job<'a> {
+    /// Its planner.
+    pub planner: &'a mut Planner,
+    /// Where the plan begins.
+    pub beginning: Beginning,
+    /// The reference, a function of the time since the plan's start [s].
+    pub reference: &'a dyn Fn(f64) -> ReferencePoint,
 }
 
 /// Commands, predicted states and gains of one plan, as they travel.
@@ -92,6 +112,22 @@ impl Planner {
         }
     }
 
+    /// How far later plans are taken: [`Effort::RealTime`] sheds load.
+    pub fn set_effort(&mut self, effort: Effort) {
+        match &mut self.formulation {
+            Formulation::Lag(lag) => lag.1.set_effort(effort),
+            Formulation::Paper(paper) => paper.1.set_effort(effort),
+        }
+    }
+
+    /// Which way the last plan was found.
+    pub fn path(&self) -> Path {
+        match &self.formulation {
+            Formulation::Lag(lag) => lag.1.solution().path,
+            Formulation::Paper(paper) => paper.1.solution().path,
+        }
+    }
+
     /// Forgets the last solution.
     pub fn reset(&mut self) {
         match &mut self.formulation {
@@ -151,6 +187,20 @@ impl Planner {
         beginning: &Beginning,
         reference: impl Fn(f64) -> ReferencePoint,
     ) -> Result<Knots, Status> {
+        self.pose(beginning, reference);
+        match &mut self.formulation {
+            Formulation::Lag(lag) => {
+                lag.1.solve(&lag.0);
+            }
+            Formulation::Paper(paper) => {
+                paper.1.solve(&paper.0);
+            }
+        }
+        self.knots(beginning)
+    }
+
+    /// Writes the problem, and moves the last solution on to its beginning.
+    fn pose(&mut self, beginning: &Beginning, reference: impl Fn(f64) -> ReferencePoint) {
         let shift = pull_in(&beginning.x, &reference(0.0));
         let mut heading = beginning.x[2];
         let states = (1..=self.horizon).map(|i| {
@@ -186,7 +236,29 @@ impl Planner {
                     &problem.r,
                 );
                 mpc.shift(beginning.shift);
-                let solution = mpc.solve(problem);
+            }
+            Formulation::Paper(paper) => {
+                let (problem, mpc) = &mut **paper;
+                problem.x0 = Vector3::new(beginning.x[0], beginning.x[1], beginning.x[2]);
+                problem.u_prev = beginning.measured.into();
+                for (row, point) in problem.x_ref.iter_mut().zip(states) {
+                    *row = Vector3::new(point.x, point.y, point.heading);
+                }
+                // Row i is U(i + 1), held from the end of knot i + 1 on.
+                for (i, row) in problem.u_ref.iter_mut().enumerate() {
+                    let point = reference(commands(1.5)(i));
+                    *row = Vector2::new(point.v, point.q_r);
+                }
+                mpc.shift(beginning.shift);
+            }
+        }
+    }
+
+    /// The solution as it travels.
+    fn knots(&self, beginning: &Beginning) -> Result<Knots, Status> {
+        match &self.formulation {
+            Formulation::Lag(lag) => {
+                let solution = lag.1.solution();
                 let (source, is_optimal) = outcome(solution)?;
                 Ok(Knots {
                     source,
@@ -209,19 +281,7 @@ impl Planner {
                 })
             }
             Formulation::Paper(paper) => {
-                let (problem, mpc) = &mut **paper;
-                problem.x0 = Vector3::new(beginning.x[0], beginning.x[1], beginning.x[2]);
-                problem.u_prev = beginning.measured.into();
-                for (row, point) in problem.x_ref.iter_mut().zip(states) {
-                    *row = Vector3::new(point.x, point.y, point.heading);
-                }
-                // Row i is U(i + 1), held from the end of knot i + 1 on.
-                for (i, row) in problem.u_ref.iter_mut().enumerate() {
-                    let point = reference(commands(1.5)(i));
-                    *row = Vector2::new(point.v, point.q_r);
-                }
-                mpc.shift(beginning.shift);
-                let solution = mpc.solve(problem);
+                let solution = paper.1.solution();
                 let (source, is_optimal) = outcome(solution)?;
                 // What the robot makes of the commands: they are applied at once, and its reference follows with the lag.
                 let mut x = beginning.x;
@@ -239,6 +299,47 @@ impl Planner {
                     knots.x.push(x.map(|c| c as f32).into());
                 }
                 Ok(knots)
+            }
+        }
+    }
+}
+
+impl PlanBatch {
+    /// With room to be made at the first use.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Plans every job, and hands each outcome with the job's index to `each`, in the order of the jobs.
+    ///
+    /// Every outcome is the one that [`Planner::plan`] would have had, bit for bit, whatever the company. Jobs of one formulation and
+    /// horizon that stand together share lanes.
+    pub fn plan(
+        &mut self,
+        jobs: &mut [Job<'_>],
+        mut each: impl FnMut(usize, Result<Knots, Status>),
+    ) {
+        for (window, jobs) in jobs.chunks_mut(WINDOW).enumerate() {
+            let mut lag = ArrayVec::<Tick<'_, 5>, WINDOW>::new();
+            let mut paper = ArrayVec::<Tick<'_, 3>, WINDOW>::new();
+            for job in &mut *jobs {
+                job.planner.pose(&job.beginning, job.reference);
+                match &mut job.planner.formulation {
+                    Formulation::Lag(parts) => {
+                        let (problem, mpc) = &mut **parts;
+                        lag.push(Tick::new(mpc, problem));
+                    }
+                    Formulation::Paper(parts) => {
+                        let (problem, mpc) = &mut **parts;
+                        paper.push(Tick::new(mpc, problem));
+                    }
+                }
+            }
+            self.lag.solve(&mut lag);
+            self.paper.solve(&mut paper);
+            drop((lag, paper));
+            for (i, job) in jobs.iter().enumerate() {
+                each(WINDOW * window + i, job.planner.knots(&job.beginning));
             }
         }
     }
@@ -286,5 +387,7 @@ fn outcome<const NX: usize>(solution: &Solution<NX>) -> Result<(PlanSource, bool
 
 /// Farthest reference [m]: beyond it the robot is led by a point on the way there, and the problem stays well scaled.
 const ERROR_MAX: f64 = 1.5;
+/// Jobs solved between posing and handing out: their problems still lie in the cache then.
+const WINDOW: usize = 32;
 /// Bandwidth of the outer loop that the lean bears [rad/s].
 const OUTER_LOOP: f64 = 1.4;

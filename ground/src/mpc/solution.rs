@@ -15,6 +15,8 @@ pub struct Solution<const NX: usize> {
     pub status: Status,
     /// What solved it, or tried last.
     pub method: Method,
+    /// Which way it took.
+    pub path: Path,
     /// SQP iterations, those of failed attempts included.
     pub iterations: u32,
     /// Cost of the problem at this point [1].
@@ -35,7 +37,7 @@ pub struct Solution<const NX: usize> {
 pub enum Status {
     /// A point that satisfies the first-order conditions to rounding.
     Solved,
-    /// The iterations ran out, or no step made progress: the point obeys dynamics and bounds but is not optimal.
+    /// The iterations ran out ([`Effort::RealTime`](super::Effort::RealTime) allows one), or no step made progress: the point obeys dynamics and bounds but is not optimal.
     MaxIterations,
     /// Bounds and rate bounds contradict each other.
     Infeasible,
@@ -64,6 +66,17 @@ pub enum Method {
     Clarabel,
 }
 
+/// Which way a solution was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Path {
+    /// Full exact steps from the last solution: nearly all ticks of a robot that tracks.
+    Fast,
+    /// Steps searched along, from the last solution or the references: first ticks, jumps, half-planes.
+    Searched,
+    /// Steps by Clarabel.
+    Clarabel,
+}
+
 /// Why a problem was not tried.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum Refusal {
@@ -87,6 +100,7 @@ impl<const NX: usize> Solution<NX> {
         Self {
             status: Status::Refused,
             method: Method::Riccati,
+            path: Path::Searched,
             iterations: 0,
             cost: f64::NAN,
             u: Vec::with_capacity(horizon),

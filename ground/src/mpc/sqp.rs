@@ -6,11 +6,11 @@
 
 use nalgebra::{SVector, Vector2};
 
-use super::bounds::{Bounds, Follow};
+use super::bounds::{Bounds, Follow, roll_bounds};
 use super::clarabel::{ClarabelError, ClarabelQp};
 use super::problem::Problem;
 use super::riccati::{Active, Riccati, RiccatiError};
-use super::subproblem::{Hessian, Point, Step, Subproblem, cost, first_state};
+use super::subproblem::{Hessian, Point, Step, Subproblem, cost, first_state, state_gradient};
 
 /// The iterate and the buffers of one problem size.
 pub(super) struct Sqp<const NX: usize> {
@@ -112,18 +112,47 @@ impl<const NX: usize> Sqp<NX> {
         self.point.x[0] = x0;
     }
 
-    /// Moves the last solution on by `knots`; its last input is held.
-    pub(super) fn shift(&mut self, knots: usize) {
-        let horizon = self.point.u.len();
-        let knots = knots.min(horizon);
+    /// Moves the last point on by `knots`; its last input is held.
+    pub(super) fn shift_point(&mut self, knots: usize) {
         shift_rows(&mut self.point.x, knots);
         shift_rows(&mut self.point.u, knots);
+    }
+
+    /// Moves costates and active sets on by `knots`, beside [`Sqp::shift_point`].
+    pub(super) fn shift_active(&mut self, knots: usize) {
+        let horizon = self.point.u.len();
+        let knots = knots.min(horizon);
         shift_rows(&mut self.lambda, knots);
         shift_rows(&mut self.riccati.active, knots);
         let planes = &mut self.subproblem.planes;
         planes.rotate_left(knots);
         for row in &mut planes[horizon + 1 - knots..] {
             row.clear();
+        }
+    }
+
+    /// Costates and active sets for a point that was found elsewhere: the adjoint of the point, the bounds that it lies on.
+    pub(super) fn adopt_point(&mut self, problem: &Problem<NX>) {
+        let mut lambda = SVector::zeros();
+        for k in (0..self.point.u.len()).rev() {
+            lambda += state_gradient(problem, k + 1, &self.point.x[k + 1]);
+            self.lambda[k] = lambda;
+            let (x, u) = (&self.point.x[k], &self.point.u[k]);
+            lambda = problem.model.linearise(x, u).a.tr_mul(&lambda);
+            let (min, max) = roll_bounds(problem, &self.point, k);
+            let bounds = [(problem.u_min[k][0], problem.u_max[k][0]), (min, max)];
+            for (j, (min, max)) in bounds.into_iter().enumerate() {
+                self.riccati.active[k][j] = if u[j] <= min {
+                    Active::Lower
+                } else if u[j] >= max {
+                    Active::Upper
+                } else {
+                    Active::Free
+                };
+            }
+        }
+        for planes in &mut self.subproblem.planes {
+            planes.clear();
         }
     }
 

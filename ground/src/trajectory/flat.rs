@@ -69,7 +69,8 @@ pub(super) fn roll_of_turn<const N: usize>(turn: Jet<N>) -> Jet<N> {
         let (s, c) = q.sin_cos();
         let step = (s - bounded * (c + q * s)) / (c * (1.0 - bounded * q));
         q -= step;
-        if step.abs() < 1e-16 {
+        // Newton's method squares its error: the next step would be nothing.
+        if step.abs() < 1e-9 {
             break;
         }
     }
