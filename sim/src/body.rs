@@ -20,6 +20,8 @@ use crate::sensor::{PositionSource, Sensors};
 
 /// Step of the plant's integration.
 pub const STEP: Span = Span::from_millis(1);
+/// Roll from which a robot lies on its side [rad]: 80°.
+const LIES: f64 = 1.4;
 /// Time between two of the board's signs of life.
 pub const BOARD_HEARTBEAT: Span = Span::from_millis(1000);
 
@@ -63,6 +65,8 @@ pub struct Body {
     refused_commands: u64,
     /// Held in a cradle until its motors move it for the first time.
     held: bool,
+    /// It lies on its side for good.
+    has_fallen: bool,
 }
 
 /// The random streams of a body, one for each purpose.
@@ -151,6 +155,7 @@ impl Body {
             newest_command: None,
             refused_commands: 0,
             held: true,
+            has_fallen: false,
         }
     }
 
@@ -161,10 +166,16 @@ impl Body {
             let command = self.board.torque(self.board_now());
             let torque = self.actuator.step(command);
             self.held &= torque == Torque::default();
-            if !self.held {
+            if !self.held && !self.has_fallen {
                 self.wander(dt);
                 let around = self.surroundings();
-                self.state = self.plant.step(&self.state, torque, &around, dt);
+                let next = self.plant.step(&self.state, torque, &around, dt);
+                // Near a roll of 90° the equations have no solution. What has leaned so far lies down.
+                if next.robot.q_r.abs() > LIES {
+                    self.lie_down();
+                } else {
+                    self.state = next;
+                }
             }
             self.steps += 1;
         }
@@ -193,7 +204,7 @@ impl Body {
     /// One sensor frame, sampled now; `None` if the plant's state is beyond what a frame can carry.
     pub fn sense(&mut self) -> Option<Frame> {
         let around = self.surroundings();
-        let accelerations = if self.held {
+        let accelerations = if self.held || self.has_fallen {
             Accelerations::default()
         } else {
             self.plant
@@ -288,6 +299,14 @@ impl Body {
             let ahead = command.sequence.wrapping_sub(newest);
             ahead != 0 && ahead < u32::MAX / 2
         })
+    }
+
+    /// It stays as it is, without motion.
+    fn lie_down(&mut self) {
+        self.has_fallen = true;
+        let robot = &mut self.state.robot;
+        (robot.v, robot.q_r_rate) = (0.0, 0.0);
+        (robot.alpha_rate, robot.beta_rate) = (0.0, 0.0);
     }
 
     fn board_now(&self) -> Instant<BoardClock> {

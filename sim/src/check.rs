@@ -6,11 +6,11 @@
 //!
 //! | rule | what it says | file |
 //! |---|---|---|
-//! | `finite`, `torque-limit`, `no-torque-unless-armed`, `upright`, `speed-limit`, `tracking-has-a-plan`, `plan-is-valid`, `plans-never-go-back` | of each row | `row.rs` |
+//! | `finite`, `torque-limit`, `no-torque-unless-armed`, `upright`, `speed-limit`, `tracking-has-a-plan`, `plan-is-valid`, `plans-never-go-back` | of each row; `upright` and `speed-limit` only while the agent has the motors: a robot that lost its agent rolls and leans as it will | `row.rs`, `control.rs` |
 //! | `torque-limit`, `torque-validity` | of each torque that a board obeys: within the motors' limit, for 60 ms at most | `torque.rs` |
 //! | `no-torque-unless-armed`, `torque-has-a-source` | of each torque frame of an agent: zero unless armed, and then what its control step computed | `torque.rs` |
-//! | `braking-reference` | armed and without a plan the speed reference only falls, by the brake's ramp, and the roll's decays | `braking.rs` |
-//! | `command-limit` | what is tracked is within the limits of commands | `torque.rs` |
+//! | `braking-reference` | armed and without a plan the speed reference only falls, by the brake's ramp, and the roll's decays | `reference.rs` |
+//! | `command-limit` | what is tracked is within the limits of commands | `reference.rs` |
 //! | `tracking-has-a-plan`, `plan-is-valid` | a control step in tracking plays a plan between its start and its end | `plan.rs` |
 //! | `plan-from-station` | a plan in play is, number by number, one that the station made | `plan.rs` |
 //! | `plan-of-this-life`, `plans-never-go-back` | a plan in play was made for this boot and from this life's telemetry, and is newer than the ones before | `plan.rs` |
@@ -18,9 +18,10 @@
 //! | `tracking-resumes` | when what went wrong is over, tracking is back in time | `resume.rs` |
 //! | `faults-stay-confined` | a fault of one robot changes no bit of another's rows | `confined.rs` |
 
-mod braking;
 mod confined;
+mod control;
 mod plan;
+mod reference;
 mod rest;
 mod resume;
 mod row;
@@ -36,9 +37,10 @@ use sphere_protocol::time::{AgentClock, Instant, Span};
 use crate::metrics::Violation;
 use crate::scenario::{RobotSetup, Scenario};
 use crate::trace::{Row, Trace};
-use braking::Braking;
 pub use confined::strayed;
+use control::Control;
 use plan::Plans;
+use reference::Reference;
 use rest::Rest;
 use resume::Resume;
 use torque::TorqueFrames;
@@ -106,8 +108,9 @@ struct Watch {
     id: RobotId,
     bounds: Bounds,
     before: Option<Row>,
+    control: Control,
     torque: TorqueFrames,
-    braking: Braking,
+    reference: Reference,
     plans: Plans,
     rest: Rest,
     resume: Resume,
@@ -127,8 +130,9 @@ impl Monitor {
             id: setup.id,
             bounds: Bounds::new(setup, scenario.planner.max_age),
             before: None,
+            control: Control::default(),
             torque: TorqueFrames::new(),
-            braking: Braking::default(),
+            reference: Reference::default(),
             plans: Plans::new(boot_id),
             rest: Rest::new(setup),
             resume: Resume::new(scenario, setup),
@@ -143,7 +147,7 @@ impl Monitor {
     pub fn on_agent_start(&mut self, robot: usize, boot_id: u64, agent_now: Instant<AgentClock>) {
         let watch = &mut self.robots[robot];
         watch.plans.on_agent_start(boot_id, agent_now);
-        watch.braking = Braking::default();
+        watch.reference = Reference::default();
     }
 
     /// The station sends `plan` to robot number `robot`.
@@ -164,8 +168,8 @@ impl Monitor {
         let mut broken = |rule| self.breaches.add(now, robot, watch.id, rule);
         // Only a control step sends a torque, and each does.
         watch.torque.sent(bytes, |command| {
-            torque::check_sent(command, agent, &watch.bounds, &mut broken);
-            watch.braking.on_step(agent, &watch.bounds, &mut broken);
+            torque::check_sent(command, agent, &mut broken);
+            watch.reference.on_step(agent, &watch.bounds, &mut broken);
             watch.plans.on_step(agent_now, agent, &mut broken);
         });
     }
@@ -184,7 +188,10 @@ impl Monitor {
     pub fn on_row(&mut self, robot: usize, row: &Row, around: &Circumstances) {
         let watch = &mut self.robots[robot];
         let mut broken = |rule| self.breaches.add(row.t, robot, watch.id, rule);
-        row::broken(row, watch.before.as_ref(), &watch.bounds).for_each(&mut broken);
+        let is_controlled = watch.control.on_row(row, around);
+        row::broken(row, watch.before.as_ref(), &watch.bounds)
+            .filter(|rule| is_controlled || !row::NEED_CONTROL.contains(rule))
+            .for_each(&mut broken);
         watch.rest.on_row(row, around, &watch.bounds, &mut broken);
         watch.resume.on_row(row, around, &mut broken);
         watch.before = Some(*row);

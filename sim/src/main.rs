@@ -108,6 +108,9 @@ struct SoakArgs {
     /// Leave what fails as it is: making it small takes many runs
     #[arg(long)]
     no_shrink: bool,
+    /// Print the scenario of the first seed, and run nothing
+    #[arg(long, conflicts_with_all = ["json", "seeds"])]
+    draw: bool,
     /// Print what was found as JSON, and nothing else, on standard output
     #[arg(long)]
     json: bool,
@@ -365,6 +368,10 @@ fn run_robustness(args: &RobustnessArgs) -> anyhow::Result<Outcome> {
 }
 
 fn run_soak(args: &SoakArgs) -> anyhow::Result<Outcome> {
+    if args.draw {
+        print!("{}", soak::draw(args.first).drawn());
+        return Ok(Outcome::Held);
+    }
     let bar = paper::progress(args.seeds as usize);
     let seeds = args.first..args.first + args.seeds;
     let mut outcomes = soak::run(seeds, ensemble::every_core(), |done| {

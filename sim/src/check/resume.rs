@@ -16,6 +16,8 @@ pub(super) struct Resume {
     allowed: Span,
     /// By when it must track.
     due: Span,
+    /// Whether a robot that has lost its position finds it again.
+    has_fixes: bool,
     packets: [(u64, u64); 2],
     /// Since when nothing has come through, in packets sent: up, down.
     lost_in_a_row: [u64; 2],
@@ -45,6 +47,7 @@ impl Resume {
             troubles: faults.chain(cuts).collect(),
             allowed: ALLOWED + span(loop_time),
             due: Span::ZERO,
+            has_fixes: scenario.sensing.position_fix_hz > 0.0,
             packets: [(0, 0); 2],
             lost_in_a_row: [0; 2],
         }
@@ -57,7 +60,12 @@ impl Resume {
         broken: &mut impl FnMut(&'static str),
     ) {
         let is_latched = matches!(row.mode, Mode::Failsafe | Mode::Fault);
-        let is_well = row.mode == Mode::Tracking || is_latched || !around.on_mission;
+        let is_lost = row.life > 0 && !self.has_fixes;
+        let is_well = row.mode == Mode::Tracking
+            || is_latched
+            || is_lost
+            || !around.on_mission
+            || !may_be_armed(row);
         let runs = around.agent_runs && around.station_runs;
         let is_cut_off = self.is_cut_off(&around.packets);
         let in_force = |(from, to, _): &&(Span, Span, Span)| row.t >= *from && row.t <= *to;
@@ -88,6 +96,14 @@ impl Resume {
     }
 }
 
+/// Whether a robot that is not armed can be: its estimator settles at rest, and it must be upright.
+fn may_be_armed(row: &Row) -> bool {
+    let s = &row.truth;
+    let is_quiet =
+        s.v.abs() < QUIET_SPEED && s.q_r.abs().max(s.alpha.abs()).max(s.beta.abs()) < QUIET_ANGLE;
+    !matches!(row.mode, Mode::Boot | Mode::Disarmed) || is_quiet
+}
+
 /// Nearly the longest time that a packet takes [s].
 fn longest(link: &Link) -> f64 {
     let queue = if link.bandwidth_kbps > 0.0 {
@@ -106,3 +122,6 @@ const AGENT_START: f64 = 4.0;
 const STATION_START: f64 = 1.5;
 /// So many packets lost one after the other are no chance: the link is gone.
 const LOST_IN_A_ROW: u64 = 3;
+/// An agent that starts anew on a robot that still rolls [m/s] or swings [rad] must wait until it does not.
+const QUIET_SPEED: f64 = 0.1;
+const QUIET_ANGLE: f64 = 0.2;

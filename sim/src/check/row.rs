@@ -59,6 +59,9 @@ const RULES: &[Rule] = &[
     }),
 ];
 
+/// Rules that bind whoever controls the robot.
+pub(super) const NEED_CONTROL: [&str; 2] = ["upright", "speed-limit"];
+
 /// Beyond these the robot has fallen over [rad].
 const UPRIGHT_ROLL: f64 = 1.0;
 const UPRIGHT_SWING: f64 = 1.5;

@@ -32,7 +32,7 @@ impl Draw {
 
     fn scenario(&mut self, seed: u64) -> String {
         // Few robots more often than many: time goes with their number, and what they share is the station alone.
-        let robots = 1 + (10.0 * self.range(0.0, 0.999).powi(2)) as usize;
+        let robots = 1 + (10.0 * self.range(0.0, 0.999).powi(3)) as usize;
         let duration = self.range(30.0, 45.0);
         let environment = self.pick(&["ideal", "real", "real", "calibrated"]);
         let mut text = format!(
@@ -265,7 +265,7 @@ impl Draw {
                 let mut points = Vec::new();
                 let (mut x, mut y) = (self.range(-2.0, 2.0), self.range(-2.0, 2.0));
                 for _ in 0..3 + self.below(3) {
-                    points.push(format!("[{x}, {y}]"));
+                    points.push(format!("[{x:.3}, {y:.3}]"));
                     // Far enough for the turn behind a sharp corner.
                     let (way, bearing) = (self.range(5.0, 9.0), self.range(0.0, 6.28));
                     (x, y) = (x + way * f64::cos(bearing), y + way * f64::sin(bearing));

@@ -84,7 +84,9 @@ fn steps(scenario: &Scenario) -> Vec<Step> {
         for place in 0..scenario.robots.len() {
             // Robots that went before leave fewer places.
             steps.push(changed(move |s| {
-                s.robots.get_mut(place).map_or((), plain);
+                if let Some(setup) = s.robots.get_mut(place) {
+                    plain(setup);
+                }
             }));
         }
     }
