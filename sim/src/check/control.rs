@@ -21,14 +21,16 @@ impl Control {
             Mode::Idle | Mode::Tracking | Mode::Holding | Mode::Failsafe
         );
         if is_armed && around.agent_runs {
-            // One that has stood still is armed by name until its next control step.
+            // Who takes a robot over takes it as it rolls and leans.
             self.armed_rows += 1;
-            if self.armed_rows > 1 {
+            if self.armed_rows > TAKING_OVER {
                 self.lost_at = None;
             }
         } else {
             self.armed_rows = 0;
-            self.lost_at.get_or_insert(row.t);
+            if self.lost_at.is_none() {
+                self.lost_at = Some(row.t);
+            }
         }
         // Whoever lets go of a falling robot has let it fall.
         self.lost_at.is_none_or(|lost| row.t - lost <= AFTERMATH)
@@ -36,3 +38,5 @@ impl Control {
 }
 
 const AFTERMATH: Span = Span::from_millis(200);
+/// Rows until the robot is the doing of an agent that has begun to control it: 2 s.
+const TAKING_OVER: u32 = 100;

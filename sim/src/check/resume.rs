@@ -16,6 +16,8 @@ pub(super) struct Resume {
     allowed: Span,
     /// By when it must track.
     due: Span,
+    /// Once a fault is latched only an operator arms the robot again, whatever starts anew.
+    is_latched: bool,
     /// Whether a robot that has lost its position finds it again.
     has_fixes: bool,
     packets: [(u64, u64); 2],
@@ -47,6 +49,7 @@ impl Resume {
             troubles: faults.chain(cuts).collect(),
             allowed: ALLOWED + span(loop_time),
             due: Span::ZERO,
+            is_latched: false,
             has_fixes: scenario.sensing.position_fix_hz > 0.0,
             packets: [(0, 0); 2],
             lost_in_a_row: [0; 2],
@@ -59,10 +62,10 @@ impl Resume {
         around: &Circumstances,
         broken: &mut impl FnMut(&'static str),
     ) {
-        let is_latched = matches!(row.mode, Mode::Failsafe | Mode::Fault);
+        self.is_latched |= matches!(row.mode, Mode::Failsafe | Mode::Fault);
         let is_lost = row.life > 0 && !self.has_fixes;
         let is_well = row.mode == Mode::Tracking
-            || is_latched
+            || self.is_latched
             || is_lost
             || !around.on_mission
             || !may_be_armed(row);

@@ -231,7 +231,7 @@ impl Draw {
             keys.push(format!("stiction_nm = {}", self.range(0.0, 0.2)));
         }
         if self.chance(0.2) {
-            let (x, y) = (self.range(-2.0, 2.0), self.range(-2.0, 2.0));
+            let (x, y) = (self.range(-1.0, 1.0), self.range(-1.0, 1.0));
             keys.push(format!("slope_deg = [{x}, {y}]"));
         }
         if self.chance(0.2) {
