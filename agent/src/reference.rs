@@ -120,9 +120,11 @@ impl Reference {
         }
     }
 
-    /// Both lags under the held command `q_c`, exactly: q = u + A e^(−t/T) + B e^(−t/τ), A = (q_s − u) T/(T − τ), B = q_rd − u − A.
+    /// Both lags under the held command `q_c`, exactly, as far as q_s may follow it with [`ROLL_RATE_MAX`]: q = u + A e^(−t/T) + B e^(−t/τ), A = (q_s − u) T/(T − τ), B = q_rd − u − A.
     fn follow_roll(&mut self, q_c: f64, dt: f64, tau: f64) -> Setpoint {
         let edge = COMMAND_LAG;
+        let reach = ROLL_RATE_MAX * edge;
+        let q_c = q_c.clamp(self.q_c - reach, self.q_c + reach);
         let quick = (self.q_c - q_c) * edge / (edge - tau);
         let slow = self.q_r - q_c - quick;
         let (quick_decay, slow_decay) = ((-dt / edge).exp(), (-dt / tau).exp());
@@ -141,6 +143,10 @@ impl Reference {
 
 /// T, lag that takes the edge off roll commands [s]. Half of a knot.
 const COMMAND_LAG: f64 = 0.05;
+/// Largest rate of q_s [rad/s]. With τ = 0.4 s the roll reference then never asks for more than 2.5 rad/s². Commands that go from one
+/// end of the roll's range to the other, as after a silence far from the path, would ask for 35 rad/s², swing the pendulum beyond
+/// what the controllers bear and throw the robot over. Missions' own commands stay below a fifth of it.
+const ROLL_RATE_MAX: f64 = 1.0;
 
 /// Largest |q_c| [rad] at speed `v` [m/s]: tan|q_r| v² within the turn limit, and the roll limit.
 ///

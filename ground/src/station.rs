@@ -201,7 +201,7 @@ struct Outbox {
 impl Station {
     /// A station that is started at `now` and plans on its caller's thread.
     pub fn new(config: StationConfig, now: Instant<GroundClock>) -> Self {
-        Self::with_workers(config, now, Box::new(Inline))
+        Self::with_workers(config, now, Box::new(Inline::default()))
     }
 
     /// A station that is started at `now` and plans on `workers`.

@@ -11,22 +11,23 @@ use core::fmt;
 
 use sphere_protocol::time::Span;
 
+use crate::planner::PlanBatch;
 use crate::session::Job;
 
 /// Computes plans. How many at once and on what threads makes no difference to any plan.
 pub trait Workers: Send {
-    /// Does every job, each by [`Job::run`] or in groups by [`Job::run_all`]. Returns how long that took: the station plans on less while
+    /// Does every job by [`Job::run_all`], in whatever groups. Returns how long that took: the station plans on less while
     /// this makes it late. In virtual time that is zero, or what a model says.
     fn run(&mut self, jobs: &mut [Job<'_>]) -> Span;
 }
 
 /// Plans on the caller's thread, and says that it took no time.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Inline;
+#[derive(Default)]
+pub struct Inline(PlanBatch);
 
 impl Workers for Inline {
     fn run(&mut self, jobs: &mut [Job<'_>]) -> Span {
-        Job::run_all(jobs);
+        Job::run_all(jobs, &mut self.0);
         Span::ZERO
     }
 }

@@ -23,6 +23,8 @@ pub const STEP: Span = Span::from_millis(1);
 /// Longest step of the plant's integration, in steps of what drives it: from one sensor frame to the next. Under torques that jump by
 /// 4 N·m it moves no angle by half an encoder's step and no rate by a tenth of the gyro's noise (`tests/plant.rs`).
 const STRIDE: f64 = 5.0;
+/// Roll from which a robot lies on its side [rad]: 80°.
+const LIES: f64 = 1.4;
 /// Time between two of the board's signs of life.
 pub const BOARD_HEARTBEAT: Span = Span::from_millis(1000);
 
@@ -68,6 +70,8 @@ pub struct Body {
     refused_commands: u64,
     /// Held in a cradle until its motors move it for the first time.
     held: bool,
+    /// It lies on its side for good.
+    has_fallen: bool,
 }
 
 /// What acts on the plant over some steps, added up.
@@ -167,6 +171,7 @@ impl Body {
             newest_command: None,
             refused_commands: 0,
             held: true,
+            has_fallen: false,
         }
     }
 
@@ -211,7 +216,7 @@ impl Body {
     /// One sensor frame, sampled now; `None` if the plant's state is beyond what a frame can carry.
     pub fn sense(&mut self) -> Option<Frame> {
         let around = self.surroundings(self.outside());
-        let accelerations = if self.held {
+        let accelerations = if self.held || self.has_fallen {
             Accelerations::default()
         } else {
             self.plant
@@ -278,7 +283,7 @@ impl Body {
     fn drive(&mut self) {
         let torque = self.actuator.step(self.board.torque(self.board_now()));
         self.held &= torque == Torque::default();
-        if !self.held {
+        if !self.held && !self.has_fallen {
             self.wander();
             let outside = self.outside();
             let ahead = &mut self.ahead;
@@ -304,7 +309,13 @@ impl Body {
         };
         let around = self.surroundings(ahead.outside.map(|torque| share * torque));
         let dt = ahead.steps * STEP.as_secs_f64();
-        self.state = self.plant.step(&self.state, torque, &around, dt);
+        let next = self.plant.step(&self.state, torque, &around, dt);
+        // Near a roll of 90° the equations have no solution. What has leaned so far lies down.
+        if next.robot.q_r.abs() > LIES {
+            self.lie_down();
+        } else {
+            self.state = next;
+        }
     }
 
     /// Torque of pushes and of what wanders now, on the roll and on the rolling motion [N·m].
@@ -350,6 +361,14 @@ impl Body {
             let ahead = command.sequence.wrapping_sub(newest);
             ahead != 0 && ahead < u32::MAX / 2
         })
+    }
+
+    /// It stays as it is, without motion.
+    fn lie_down(&mut self) {
+        self.has_fallen = true;
+        let robot = &mut self.state.robot;
+        (robot.v, robot.q_r_rate) = (0.0, 0.0);
+        (robot.alpha_rate, robot.beta_rate) = (0.0, 0.0);
     }
 
     fn board_now(&self) -> Instant<BoardClock> {

@@ -1,140 +1,269 @@
-//! Invariants: what must hold in every row of every run, whatever the network, the plant and the mission are.
+//! Invariants: what must hold in every run, whatever the network, the plant and the mission are.
 //!
-//! A violation names the rule, the time, the robot, and the command that replays the run.
+//! In virtual time a [`Monitor`] watches events as they happen: every torque frame as it leaves an agent and as it reaches a board,
+//! every plan that the station makes and an agent plays, every row. A run in real time is held to the rules that its rows show
+//! ([`violations`]). A violation names the rule, the time, the robot, and the command that replays the run.
+//!
+//! | rule | what it says | file |
+//! |---|---|---|
+//! | `finite`, `torque-limit`, `no-torque-unless-armed`, `upright`, `speed-limit`, `tracking-has-a-plan`, `plan-is-valid`, `plans-never-go-back` | of each row; `upright` and `speed-limit` only while the agent has the motors: a robot that lost its agent rolls and leans as it will | `row.rs`, `control.rs` |
+//! | `torque-limit`, `torque-validity` | of each torque that a board obeys: within the motors' limit, for 60 ms at most | `torque.rs` |
+//! | `no-torque-unless-armed`, `torque-has-a-source` | of each torque frame of an agent: zero unless armed, and then what its control step computed | `torque.rs` |
+//! | `braking-reference` | armed and without a plan the speed reference only falls, by the brake's ramp, and the roll's decays | `reference.rs` |
+//! | `command-limit` | what is tracked is within the limits of commands | `reference.rs` |
+//! | `tracking-has-a-plan`, `plan-is-valid` | a control step in tracking plays a plan between its start and its end | `plan.rs` |
+//! | `plan-from-station` | a plan in play is, number by number, one that the station made | `plan.rs` |
+//! | `plan-of-this-life`, `plans-never-go-back` | a plan in play was made for this boot and from this life's telemetry, and is newer than the ones before | `plan.rs` |
+//! | `holding-rests` | holding comes to rest in time | `rest.rs` |
+//! | `tracking-resumes` | when what went wrong is over, tracking is back in time | `resume.rs` |
+//! | `faults-stay-confined` | a fault of one robot changes no bit of another's rows | `confined.rs` |
 
-use std::collections::BTreeMap;
+mod confined;
+mod control;
+mod plan;
+mod reference;
+mod rest;
+mod resume;
+mod row;
+mod torque;
 
-use sphere_protocol::message::{Mode, PlanId};
-use sphere_protocol::robot::RobotId;
-use sphere_protocol::time::Span;
+use std::collections::{BTreeMap, BTreeSet};
+
+use sphere_agent::agent::Agent;
+use sphere_protocol::message::SetpointPlan;
+use sphere_protocol::robot::{Limits, RobotId};
+use sphere_protocol::time::{AgentClock, Instant, Span};
 
 use crate::metrics::Violation;
+use crate::scenario::{RobotSetup, Scenario};
 use crate::trace::{Row, Trace};
+pub use confined::strayed;
+use control::Control;
+use plan::Plans;
+use reference::Reference;
+use rest::Rest;
+use resume::Resume;
+use torque::TorqueFrames;
 
 /// What is allowed to one robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
     /// Limit of each motor [N·m].
     pub torque_max: f64,
-    /// Highest speed of a command, whichever direction [m/s].
-    pub v_max: f64,
+    /// What its commands keep to.
+    pub limits: Limits,
     /// Longest age of a plan in play, counted from its telemetry.
     pub plan_age_max: Span,
 }
 
-/// A rule: its name, and whether a row breaks it. `before` is the robot's row before it.
-type Rule = (
-    &'static str,
-    fn(row: &Row, before: Option<&Row>, bounds: &Bounds) -> bool,
-);
+impl Bounds {
+    /// What `setup` must keep to under plans of at most `plan_age_max`.
+    pub fn new(setup: &RobotSetup, plan_age_max: Span) -> Self {
+        let believed = &setup.model.robot;
+        Self {
+            // The agent believes in its own limit, the motors have theirs.
+            torque_max: setup.plant.torque_max.max(believed.params.torque_max),
+            limits: believed.limits,
+            plan_age_max,
+        }
+    }
 
-/// The rules, each with what breaking it means.
-const RULES: &[Rule] = &[
-    ("finite", |row, _, _| !is_finite(row)),
-    ("torque-limit", |row, _, bounds| {
-        let limit = bounds.torque_max * (1.0 + 1e-9);
-        [row.torque_commanded, row.torque_applied]
-            .iter()
-            .any(|t| t.pitch.abs() > limit || t.roll.abs() > limit)
-    }),
-    ("no-torque-unless-armed", |row, _, _| {
-        let unarmed = matches!(
-            row.mode,
-            Mode::Boot | Mode::Disarmed | Mode::Ready | Mode::Fault
-        );
-        unarmed && (row.torque_commanded.pitch != 0.0 || row.torque_commanded.roll != 0.0)
-    }),
-    ("upright", |row, _, _| {
-        row.truth.q_r.abs() > UPRIGHT_ROLL
-            || row.truth.alpha.abs().max(row.truth.beta.abs()) > UPRIGHT_SWING
-    }),
-    ("speed-limit", |row, _, bounds| {
-        row.truth.v.abs() > bounds.v_max * (1.0 + SPEED_MARGIN)
-    }),
-    ("tracking-has-a-plan", |row, _, _| {
-        (row.mode == Mode::Tracking) != row.playing.is_some()
-    }),
-    ("plan-is-valid", |row, _, bounds| {
-        row.plan_age.is_some_and(|age| age > bounds.plan_age_max)
-    }),
-    ("plans-never-go-back", |row, before, _| {
-        // An agent that has started anew counts from the beginning.
-        let same_life = before.filter(|before| before.life == row.life);
-        let last: Option<PlanId> = same_life.and_then(|before| before.playing);
-        matches!((last, row.playing), (Some(last), Some(now)) if now < last)
-    }),
-];
+    /// Highest speed of a command, whichever direction [m/s].
+    fn speed_max(&self) -> f64 {
+        self.limits.v_max.max(-self.limits.v_min)
+    }
+}
 
-/// Beyond these the robot has fallen over [rad].
-const UPRIGHT_ROLL: f64 = 1.0;
-const UPRIGHT_SWING: f64 = 1.5;
-/// Overshoot of the speed over the highest command that the controllers are allowed [1].
-const SPEED_MARGIN: f64 = 0.25;
+/// A rule that broke.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Breach {
+    /// Name of the rule.
+    pub rule: &'static str,
+    /// When, in virtual time.
+    pub at: Span,
+    /// Whose.
+    pub robot: RobotId,
+}
 
-/// The first violation of each rule by each robot, in the order of time. Robots without bounds are not checked.
+/// Watches one world. It only looks: nothing in the world depends on it.
+pub struct Monitor {
+    robots: Vec<Watch>,
+    breaches: Breaches,
+}
+
+/// What surrounds a row without being part of it.
+#[derive(Clone, Copy, Debug)]
+pub struct Circumstances {
+    /// Whether the robot's agent runs.
+    pub agent_runs: bool,
+    /// Whether the station runs.
+    pub station_runs: bool,
+    /// Whether the station has a mission under way for it.
+    pub on_mission: bool,
+    /// Packets handed to the link so far and lost of them, up and down.
+    pub packets: [(u64, u64); 2],
+}
+
+struct Watch {
+    id: RobotId,
+    bounds: Bounds,
+    before: Option<Row>,
+    control: Control,
+    torque: TorqueFrames,
+    reference: Reference,
+    plans: Plans,
+    rest: Rest,
+    resume: Resume,
+}
+
+/// The first breach of each rule by each robot, in the order of time.
+#[derive(Default)]
+struct Breaches {
+    known: BTreeSet<(usize, &'static str)>,
+    found: Vec<Breach>,
+}
+
+impl Monitor {
+    /// Of the world of `scenario`, whose agents begin with these boot ids.
+    pub fn new(scenario: &Scenario, boot_ids: impl IntoIterator<Item = u64>) -> Self {
+        let watch = |(setup, boot_id): (&RobotSetup, u64)| Watch {
+            id: setup.id,
+            bounds: Bounds::new(setup, scenario.planner.max_age),
+            before: None,
+            control: Control::default(),
+            torque: TorqueFrames::new(),
+            reference: Reference::default(),
+            plans: Plans::new(boot_id),
+            rest: Rest::new(setup),
+            resume: Resume::new(scenario, setup),
+        };
+        Self {
+            robots: scenario.robots.iter().zip(boot_ids).map(watch).collect(),
+            breaches: Breaches::default(),
+        }
+    }
+
+    /// Robot number `robot`'s agent starts anew, as `boot_id`, while its clock shows `agent_now`.
+    pub fn on_agent_start(&mut self, robot: usize, boot_id: u64, agent_now: Instant<AgentClock>) {
+        let watch = &mut self.robots[robot];
+        watch.plans.on_agent_start(boot_id, agent_now);
+        watch.reference = Reference::default();
+    }
+
+    /// The station sends `plan` to robot number `robot`.
+    pub fn on_plan_made(&mut self, robot: usize, plan: &SetpointPlan) {
+        self.robots[robot].plans.on_made(plan);
+    }
+
+    /// A datagram leaves `agent` for its motor board, as it is on the wire.
+    pub fn on_motor_output(
+        &mut self,
+        now: Span,
+        robot: usize,
+        agent_now: Instant<AgentClock>,
+        agent: &Agent,
+        bytes: &[u8],
+    ) {
+        let watch = &mut self.robots[robot];
+        let mut broken = |rule| self.breaches.add(now, robot, watch.id, rule);
+        // Only a control step sends a torque, and each does.
+        watch.torque.sent(bytes, |command| {
+            torque::check_sent(command, agent, &mut broken);
+            watch.reference.on_step(agent, &watch.bounds, &mut broken);
+            watch.plans.on_step(agent_now, agent, &mut broken);
+        });
+    }
+
+    /// A datagram reaches the motor board of robot number `robot`.
+    pub fn on_board_input(&mut self, now: Span, robot: usize, bytes: &[u8]) {
+        let watch = &mut self.robots[robot];
+        watch.torque.arrived(bytes, |command| {
+            torque::check_arrived(command, &watch.bounds, |rule| {
+                self.breaches.add(now, robot, watch.id, rule);
+            });
+        });
+    }
+
+    /// The next row of robot number `robot`.
+    pub fn on_row(&mut self, robot: usize, row: &Row, around: &Circumstances) {
+        let watch = &mut self.robots[robot];
+        let mut broken = |rule| self.breaches.add(row.t, robot, watch.id, rule);
+        let is_controlled = watch.control.on_row(row, around);
+        row::broken(row, watch.before.as_ref(), &watch.bounds)
+            .filter(|rule| is_controlled || !row::NEED_CONTROL.contains(rule))
+            .for_each(&mut broken);
+        watch.rest.on_row(row, around, &watch.bounds, &mut broken);
+        watch.resume.on_row(row, around, &mut broken);
+        watch.before = Some(*row);
+    }
+
+    /// The first breach of each rule by each robot, in the order of time.
+    pub fn breaches(&self) -> &[Breach] {
+        &self.breaches.found
+    }
+}
+
+impl Breaches {
+    fn add(&mut self, at: Span, robot: usize, id: RobotId, rule: &'static str) {
+        if self.known.insert((robot, rule)) {
+            self.found.push(Breach {
+                rule,
+                at,
+                robot: id,
+            });
+        }
+    }
+}
+
+impl Breach {
+    /// As results show it, with the command that replays it.
+    pub fn violation(&self, replay: &str) -> Violation {
+        Violation {
+            rule: self.rule.to_owned(),
+            t_s: self.at.as_secs_f64(),
+            robot: Some(self.robot.to_string()),
+            replay: replay.to_owned(),
+        }
+    }
+}
+
+/// What the rows of a run in real time show: the first violation of each rule by each robot, in the order of time. Robots without
+/// bounds are not checked.
 pub fn violations(
     trace: &Trace,
     bounds: &BTreeMap<RobotId, Bounds>,
     replay: &str,
 ) -> Vec<Violation> {
+    let places: BTreeMap<RobotId, usize> = bounds.keys().copied().zip(0..).collect();
     let mut last: BTreeMap<RobotId, &Row> = BTreeMap::new();
-    let mut found: BTreeMap<(RobotId, &str), ()> = BTreeMap::new();
-    let mut violations = Vec::new();
+    let mut breaches = Breaches::default();
     for row in trace.rows() {
         let before = last.insert(row.robot, row);
-        let Some(bounds) = bounds.get(&row.robot) else {
-            continue;
-        };
-        for (rule, breaks) in RULES {
-            if breaks(row, before, bounds) && found.insert((row.robot, rule), ()).is_none() {
-                violations.push(Violation {
-                    rule: (*rule).to_owned(),
-                    t_s: row.t.as_secs_f64(),
-                    robot: Some(row.robot.to_string()),
-                    replay: replay.to_owned(),
-                });
+        if let Some(bounds) = bounds.get(&row.robot) {
+            for rule in row::broken(row, before, bounds) {
+                breaches.add(row.t, places[&row.robot], row.robot, rule);
             }
         }
     }
-    violations
-}
-
-fn is_finite(row: &Row) -> bool {
-    let state = |s: &sphere_protocol::state::RobotState| {
-        [
-            s.x,
-            s.y,
-            s.heading,
-            s.v,
-            s.q_r,
-            s.q_r_rate,
-            s.beta,
-            s.beta_rate,
-            s.alpha,
-            s.alpha_rate,
-        ]
-        .iter()
-        .all(|value| value.is_finite())
-    };
-    let torques = [row.torque_commanded, row.torque_applied];
-    state(&row.truth)
-        && state(&row.estimate)
-        && torques
-            .iter()
-            .all(|torque| torque.pitch.is_finite() && torque.roll.is_finite())
+    let shown = breaches.found.iter();
+    shown.map(|breach| breach.violation(replay)).collect()
 }
 
 #[cfg(test)]
 mod tests {
+    use sphere_protocol::message::{Mode, PlanId};
+    use sphere_protocol::robot::Robot;
     use sphere_protocol::state::{RobotState, Setpoint, Torque};
 
     use super::*;
 
-    const BOUNDS: Bounds = Bounds {
-        torque_max: 20.0,
-        v_max: 1.0,
-        plan_age_max: Span::from_millis(5000),
-    };
+    fn bounds() -> Bounds {
+        Bounds {
+            torque_max: 20.0,
+            limits: Robot::embedded("liu").expect("it is embedded").limits,
+            plan_age_max: Span::from_millis(5000),
+        }
+    }
 
     fn row() -> Row {
         Row {
@@ -162,7 +291,7 @@ mod tests {
         for row in rows {
             trace.push(*row);
         }
-        let bounds = BTreeMap::from([("r1".parse().expect("a robot id"), BOUNDS)]);
+        let bounds = BTreeMap::from([("r1".parse().expect("a robot id"), bounds())]);
         violations(&trace, &bounds, "again")
             .into_iter()
             .map(|violation| violation.rule)
@@ -213,7 +342,7 @@ mod tests {
         }
         let mut trace = Trace::new();
         fallen.iter().for_each(|row| trace.push(*row));
-        let bounds = BTreeMap::from([("r1".parse().expect("a robot id"), BOUNDS)]);
+        let bounds = BTreeMap::from([("r1".parse().expect("a robot id"), bounds())]);
         let found = violations(&trace, &bounds, "sphere-sim run x.toml --seed 3");
         assert_eq!(found.len(), 1);
         assert_eq!(found[0].t_s, 0.02);

@@ -30,7 +30,7 @@
 //!
 //! In reading order: [`scenario`], [`world`], [`run`](mod@run); [`body`] with [`plant`], [`actuator`], [`sensor`], [`friction`], [`disturbance`],
 //! [`integrator`]; [`network`]; [`trace`], [`check`], [`indicators`], [`metrics`], [`report`], [`plot`], [`output`]. In real time: [`live`], [`plants_command`],
-//! [`relay`], [`demo`], [`swarm`]. Many runs: [`ensemble`], [`paper`].
+//! [`relay`], [`demo`], [`swarm`]. Many runs: [`ensemble`], [`paper`], [`soak`].
 
 pub mod actuator;
 pub mod body;
@@ -63,6 +63,8 @@ pub mod robustness;
 pub mod run;
 pub mod scenario;
 pub mod sensor;
+#[cfg(feature = "io")]
+pub mod soak;
 #[cfg(feature = "io")]
 pub mod swarm;
 pub mod trace;

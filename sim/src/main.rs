@@ -13,9 +13,11 @@ use clap::{Args, Parser, Subcommand};
 use sphere_sim::demo::{self, Cut};
 use sphere_sim::ensemble;
 use sphere_sim::live::Ports;
+use sphere_sim::metrics::Violation;
 use sphere_sim::paper::{self, Experiment};
 use sphere_sim::run::{Run, run};
 use sphere_sim::scenario::Scenario;
+use sphere_sim::soak::{self, Soak};
 use sphere_sim::swarm::{self, SwarmReport};
 use sphere_sim::{output, plants_command, plot, report, robustness};
 
@@ -39,6 +41,8 @@ enum Command {
     Paper(PaperArgs),
     /// Run the roll step on robots and in worlds that differ from what the controllers were tuned on: who bears what, as a map
     Robustness(RobustnessArgs),
+    /// Run random scenarios in virtual time, hold each to every invariant, and make what fails small
+    Soak(SoakArgs),
     /// Run plants in real time behind MAVLink over UDP, until Ctrl-C
     Plants(PlantsArgs),
     /// Run many robots live on this machine, each part in processes of its own, and measure what they cost and how late they are
@@ -94,6 +98,28 @@ struct RobustnessArgs {
     #[arg(long, value_name = "PART")]
     only: Vec<String>,
     /// Print robustness.json, and nothing else, on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
+struct SoakArgs {
+    /// How many seeds to run
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+    seeds: u64,
+    /// The first seed
+    #[arg(long = "seed", value_name = "FIRST", default_value_t = 1, value_parser = clap::value_parser!(u64).range(..=1 << 60))]
+    first: u64,
+    /// Where to write seed-N.toml of seeds that break an invariant, made small
+    #[arg(long, default_value = "out/soak")]
+    out: PathBuf,
+    /// Leave what fails as it is: making it small takes many runs
+    #[arg(long)]
+    no_shrink: bool,
+    /// Print the scenario of the first seed, and run nothing
+    #[arg(long, conflicts_with_all = ["json", "seeds"])]
+    draw: bool,
+    /// Print what was found as JSON, and nothing else, on standard output
     #[arg(long)]
     json: bool,
 }
@@ -197,6 +223,7 @@ fn main() -> ExitCode {
         Some(Command::Run(args)) => run_scenario(&args),
         Some(Command::Paper(args)) => run_paper(&args),
         Some(Command::Robustness(args)) => run_robustness(&args),
+        Some(Command::Soak(args)) => run_soak(&args),
         Some(Command::Plants(args)) => run_plants(&args),
         Some(Command::Swarm(args)) if args.plot.is_empty() => run_swarm(&args),
         Some(Command::Swarm(args)) => plot_swarms(&args),
@@ -393,6 +420,50 @@ fn run_robustness(args: &RobustnessArgs) -> anyhow::Result<Outcome> {
     }
     Ok(Outcome::Held)
 }
+
+fn run_soak(args: &SoakArgs) -> anyhow::Result<Outcome> {
+    if args.draw {
+        print!("{}", soak::draw(args.first).drawn());
+        return Ok(Outcome::Held);
+    }
+    let bar = paper::progress(args.seeds as usize);
+    let seeds = args.first..args.first + args.seeds;
+    let mut outcomes = soak::run(seeds, ensemble::every_core(), |done| {
+        bar.set_position(done as u64);
+    });
+    bar.finish_and_clear();
+    let failed = outcomes.iter_mut().filter(|o| !o.violations.is_empty());
+    // The first ones suffice to find out why: shrinking takes many runs each.
+    for outcome in failed.take(if args.no_shrink { 0 } else { SHRUNK_MAX }) {
+        let found = &mut outcome.violations[0];
+        eprintln!(
+            "Seed {} breaks {}: making it small",
+            outcome.seed, found.rule
+        );
+        let (scenario, violation) = soak::shrink(&soak::draw(outcome.seed), &found.rule, found);
+        std::fs::create_dir_all(&args.out)?;
+        let path = args.out.join(format!("seed-{}.toml", outcome.seed));
+        std::fs::write(&path, scenario.drawn())
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        let replay = format!("sphere-sim run {}", path.display());
+        *found = Violation {
+            replay,
+            ..violation
+        };
+    }
+    let report = Soak::new(&outcomes);
+    let mut stdout = std::io::stdout().lock();
+    if args.json {
+        write!(stdout, "{}", report.json())?;
+    } else {
+        write!(stdout, "{}", report.terminal())?;
+    }
+    let held = report.failed_seeds.is_empty();
+    Ok(if held { Outcome::Held } else { Outcome::Broken })
+}
+
+/// So many seeds that fail are made small.
+const SHRUNK_MAX: usize = 10;
 
 /// Logs to standard error: warnings alone are too much beside a table that is redrawn, so that errors only are shown unless asked.
 fn start_log(verbose: bool) {

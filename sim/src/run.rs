@@ -6,7 +6,7 @@ use sphere_agent::gains::GainsError;
 use sphere_protocol::robot::RobotId;
 use sphere_protocol::time::Span;
 
-use crate::check::{self, Bounds};
+use crate::check::Bounds;
 use crate::metrics::{RunMetrics, RunRecord};
 use crate::plot::Subject;
 use crate::scenario::Scenario;
@@ -43,7 +43,7 @@ pub fn run(
         duration: scenario.duration(),
         wall_s: elapsed(),
         settle: Span::from_secs_f64(scenario.metrics.settle_s),
-        violations: check::violations(world.trace(), &bounds(scenario), replay),
+        violations: world.violations(replay),
     };
     let metrics = RunMetrics::new(world.trace(), record, &records);
     let mission_starts = records.iter().map(|record| record.mission_start).collect();
@@ -76,23 +76,9 @@ impl Run {
 
 /// What each robot of `scenario` must keep to.
 pub(crate) fn bounds(scenario: &Scenario) -> BTreeMap<RobotId, Bounds> {
-    let of = |setup: &crate::scenario::RobotSetup| Bounds {
-        // The agent believes in its own limit, the motors have theirs.
-        torque_max: setup
-            .plant
-            .torque_max
-            .max(setup.model.robot.params.torque_max),
-        v_max: setup
-            .model
-            .robot
-            .limits
-            .v_max
-            .max(-setup.model.robot.limits.v_min),
-        plan_age_max: scenario.planner.max_age,
-    };
-    scenario
-        .robots
-        .iter()
-        .map(|setup| (setup.id, of(setup)))
+    let age = scenario.planner.max_age;
+    let setups = scenario.robots.iter();
+    setups
+        .map(|setup| (setup.id, Bounds::new(setup, age)))
         .collect()
 }

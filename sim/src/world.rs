@@ -14,8 +14,9 @@ use std::collections::{BTreeMap, BinaryHeap};
 
 use rand_distr::{Distribution, StandardUniform};
 use sphere_agent::agent::{Agent, Event as AgentEvent, Input as AgentInput, Output as AgentOutput};
+use sphere_agent::config::AgentConfig;
 use sphere_agent::gains::GainsError;
-use sphere_ground::session::Counters;
+use sphere_ground::session::{Counters, Session};
 use sphere_ground::station::{
     Event as StationEvent, Input as StationInput, Output as StationOutput, Station,
 };
@@ -26,8 +27,9 @@ use sphere_protocol::robot::RobotId;
 use sphere_protocol::time::{AgentClock, GroundClock, Instant, Span};
 
 use crate::body::{BOARD_HEARTBEAT, Body, BodyRandom, Purpose, stream};
+use crate::check::{Circumstances, Monitor};
 use crate::clock::SimClock;
-use crate::metrics::{RobotRecord, RollStep, SolverCounts};
+use crate::metrics::{RobotRecord, RollStep, SolverCounts, Violation};
 use crate::network::{Link, LinkRandom};
 use crate::scenario::{self, RobotSetup, Scenario};
 use crate::sensor::Sensors;
@@ -64,6 +66,7 @@ pub struct World {
     trace: Trace,
     reports: Vec<Report>,
     tamper: Option<Tamper>,
+    monitor: Monitor,
 }
 
 /// Alters the frames of motor links in a test, or suppresses them by leaving nothing: whose, which way, the bytes.
@@ -218,6 +221,10 @@ impl World {
             trace: Trace::new(),
             reports: Vec::new(),
             tamper: None,
+            monitor: Monitor::new(
+                scenario,
+                (0..).map(|robot| setup::drawn_clocks(scenario.seed, robot).0),
+            ),
         };
         for robot in 0..world.robots.len() {
             world.schedule(Span::ZERO, Happening::Sense { robot });
@@ -260,6 +267,12 @@ impl World {
         &self.reports
     }
 
+    /// The invariants that have broken so far, each with `replay`, the command that runs this again.
+    pub fn violations(&self, replay: &str) -> Vec<Violation> {
+        let breaches = self.monitor.breaches().iter();
+        breaches.map(|breach| breach.violation(replay)).collect()
+    }
+
     /// What is left of the world when its time is over.
     pub fn into_parts(self) -> (Trace, Vec<Report>) {
         (self.trace, self.reports)
@@ -282,6 +295,28 @@ impl World {
     /// From now on every frame of a motor link passes through `tamper` first: what a broken link does, or a wrong unit on a board.
     pub fn tamper_with_motor_links(&mut self, tamper: Tamper) {
         self.tamper = Some(tamper);
+    }
+
+    /// From `now` on another agent is in the place of robot number `robot`'s, its configuration altered by `alter`, and nobody is told:
+    /// how a test shows what a defective one does.
+    ///
+    /// # Errors
+    /// Gains that cannot be stable.
+    pub fn replace_agent(
+        &mut self,
+        now: Span,
+        robot: usize,
+        alter: impl FnOnce(&mut AgentConfig),
+    ) -> Result<(), GainsError> {
+        let cell = &mut self.robots[robot];
+        let (boot_id, _) = setup::drawn_clocks(self.scenario.seed, robot);
+        let boot_id = boot_id + u64::from(cell.lives);
+        let mut config = setup::agent_config(&self.scenario.robots[robot], boot_id);
+        alter(&mut config);
+        cell.agent = Agent::new(cell.agent_now(now), config)?;
+        cell.agent_due = now;
+        self.schedule(now, Happening::AgentTimeout { robot });
+        Ok(())
     }
 
     /// A robot's agent, by its place in the scenario.
@@ -333,6 +368,7 @@ impl World {
                 self.agent_input(now, robot, AgentInput::Motor(&bytes));
             }
             Happening::FrameToBoard { robot, bytes } => {
+                self.monitor.on_board_input(now, robot, &bytes);
                 let cell = &mut self.robots[robot];
                 cell.body.elapse(now);
                 cell.body.receive(&bytes);
@@ -417,6 +453,9 @@ impl World {
             match output {
                 AgentOutput::Motor(frame) => {
                     let bytes = self.tampered(now, robot, MotorWay::ToBoard, &frame);
+                    let cell = &self.robots[robot];
+                    let agent_now = cell.agent_now(now);
+                    (self.monitor).on_motor_output(now, robot, agent_now, &cell.agent, &bytes);
                     self.trace.absorb("motor", &bytes);
                     let arrival = now + CONTROL_TIME + MOTOR_LINK;
                     self.schedule(arrival, Happening::FrameToBoard { robot, bytes });
@@ -483,6 +522,10 @@ impl World {
                     let mut leaves = now + planning + PLANNING_TIME;
                     if key.ends_with(SetpointPlan::TOPIC) {
                         leaves = leaves + cell.link_faults.planning_delay(now);
+                        let session = self.station.session(&id);
+                        if let Some(plan) = session.and_then(Session::last_plan) {
+                            self.monitor.on_plan_made(robot, plan);
+                        }
                     }
                     let key = key.as_bytes().to_vec();
                     cell.link_faults.record(Inject::Agent(robot), &key, &bytes);
@@ -508,7 +551,7 @@ impl World {
 
     /// One row for each robot.
     fn sample(&mut self, now: WorldTime) {
-        for cell in &mut self.robots {
+        for (robot, cell) in self.robots.iter_mut().enumerate() {
             cell.body.advance(now);
             let session = self.station.session(&cell.id);
             if let Some(task) = session.map(|session| session.task())
@@ -543,7 +586,7 @@ impl World {
                 cell.loop_delays.extend(playback.loop_delay());
             }
             let signals = cell.agent.signals();
-            self.trace.push(Row {
+            let row = Row {
                 t: now,
                 robot: cell.id,
                 truth: cell.body.state().robot,
@@ -557,7 +600,15 @@ impl World {
                 plan_age: signals.plan_age,
                 playing: signals.playing,
                 life: cell.lives,
-            });
+            };
+            let around = Circumstances {
+                agent_runs: cell.process.is_running(),
+                station_runs: self.station_process.is_running(),
+                on_mission: session.is_some_and(|session| session.task().is_under_way()),
+                packets: [&cell.up, &cell.down].map(|link| (link.sent, link.lost)),
+            };
+            self.monitor.on_row(robot, &row, &around);
+            self.trace.push(row);
         }
     }
 

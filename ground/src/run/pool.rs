@@ -1,5 +1,6 @@
 //! Planning threads.
 
+use std::cell::RefCell;
 use std::num::NonZero;
 use std::thread;
 use std::time::Instant;
@@ -8,6 +9,7 @@ use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use sphere_protocol::time::Span;
 
+use crate::planner::PlanBatch;
 use crate::session::Job;
 use crate::workload::Workers;
 
@@ -38,13 +40,21 @@ impl Workers for Pool {
         // Waking a thread costs more than a few plans.
         let share = share.next_multiple_of(TOGETHER);
         if jobs.len() <= share {
-            Job::run_all(jobs);
+            plan(jobs);
         } else {
             self.threads
-                .install(|| jobs.par_chunks_mut(share).for_each(Job::run_all));
+                .install(|| jobs.par_chunks_mut(share).for_each(plan));
         }
         Span::from_secs_f64(begin.elapsed().as_secs_f64())
     }
+}
+
+thread_local! {
+    static BATCH: RefCell<PlanBatch> = RefCell::new(PlanBatch::new());
+}
+
+fn plan(jobs: &mut [Job<'_>]) {
+    BATCH.with_borrow_mut(|batch| Job::run_all(jobs, batch));
 }
 
 fn every_core_but_one() -> usize {

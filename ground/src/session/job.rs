@@ -1,13 +1,16 @@
 //! The part of a planning tick that takes time: prediction, references, the solver. Robots' jobs touch nothing of one another and can
 //! run on any thread.
 
+use arrayvec::ArrayVec;
 use sphere_protocol::message::SetpointPlan;
 use sphere_protocol::time::{AgentClock, Instant};
 
 use super::Session;
-use crate::planner::{Beginning, Knots};
+use crate::mpc;
+use crate::planner::{Beginning, Job as Tick, Knots, PlanBatch, Planner};
 use crate::predictor::{Ends, ReferenceState};
 use crate::settings::{Compensation, KNOT, PlannerMode};
+use crate::trajectory::ReferencePoint;
 use crate::workload::{Effort, Need};
 
 /// One robot's plan that is to be computed.
@@ -60,33 +63,49 @@ impl<'a> Job<'a> {
         }
     }
 
-    /// Plans each of `jobs`; groups of eight or more are planned together, which is faster and gives the same plans.
-    pub fn run_all(jobs: &mut [Job<'_>]) {
-        jobs.iter_mut().for_each(Job::run);
+    /// Plans each of `jobs`, several robots at once in the lanes of `batch`.
+    pub fn run_all(jobs: &mut [Job<'_>], batch: &mut PlanBatch) {
+        for jobs in jobs.chunks_mut(WINDOW) {
+            let mut parts: ArrayVec<_, WINDOW> = jobs.iter_mut().filter_map(Job::part).collect();
+            let mut outcomes = ArrayVec::<_, WINDOW>::new();
+            let mut ticks: ArrayVec<_, WINDOW> = ArrayVec::new();
+            for (planner, beginning, reference, knots) in &mut parts {
+                ticks.push(Tick {
+                    planner,
+                    beginning: *beginning,
+                    reference,
+                });
+                outcomes.push(knots);
+            }
+            batch.plan(&mut ticks, |i, outcome| **outcomes[i] = outcome.ok());
+        }
     }
 
-    /// Plans.
-    pub fn run(&mut self) {
-        if self.effort == Effort::Shift {
-            return;
-        }
+    /// What a batch needs of it; nothing if nothing is to be solved: typed commands are written at once.
+    fn part(
+        &mut self,
+    ) -> Option<(
+        &mut Planner,
+        Beginning,
+        impl Fn(f64) -> ReferencePoint,
+        &mut Option<Knots>,
+    )> {
+        let effort = match self.effort {
+            Effort::Shift => return None,
+            Effort::RealTime => mpc::Effort::RealTime,
+            Effort::Converge => mpc::Effort::Converge,
+        };
         let beginning = self.beginning();
-        let Some((trajectory, anchor)) = self.session.task.running() else {
-            return;
-        };
+        let Session { planner, task, .. } = &mut *self.session;
+        let (trajectory, anchor) = task.running()?;
         let mission_time = self.start.since(anchor).as_secs_f64();
-        self.knots = match trajectory.program() {
-            Some(program) => Some(
-                self.session
-                    .planner
-                    .typed(&beginning, program, mission_time),
-            ),
-            None => self
-                .session
-                .planner
-                .plan(&beginning, |t| trajectory.reference(mission_time + t))
-                .ok(),
-        };
+        if let Some(program) = trajectory.program() {
+            self.knots = Some(planner.typed(&beginning, program, mission_time));
+            return None;
+        }
+        planner.set_effort(effort);
+        let reference = move |t| trajectory.reference(mission_time + t);
+        Some((planner, beginning, reference, &mut self.knots))
     }
 
     /// What came of it.
@@ -149,3 +168,5 @@ fn slack(session: &Session, start: Instant<AgentClock>) -> f64 {
 
 /// Distance from the path that counts like a second of plan less [m/s].
 const OFF_PATH: f64 = 0.1;
+/// Jobs prepared before they are solved: their problems still lie in the cache then.
+const WINDOW: usize = 32;

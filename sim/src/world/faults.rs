@@ -144,12 +144,15 @@ impl World {
             heading_sigma: core::f64::consts::PI,
             ..config.estimator.start
         };
+        let boot_id = config.boot_id;
         // The gains are those of the life before: they were accepted.
         if let Ok(agent) = Agent::new(cell.agent_now(now), config) {
             cell.agent = agent;
             cell.process = Process::Running;
             cell.newest_plan = None;
             cell.agent_due = now;
+            let agent_now = cell.agent_now(now);
+            self.monitor.on_agent_start(robot, boot_id, agent_now);
             self.schedule(now, Happening::AgentTimeout { robot });
         }
     }

@@ -1,5 +1,6 @@
 //! The station's computer: how long planning takes in virtual time.
 
+use sphere_ground::planner::PlanBatch;
 use sphere_ground::session::Job;
 use sphere_ground::station::{Station, StationConfig};
 use sphere_ground::workload::{Effort, Workers};
@@ -15,7 +16,8 @@ pub(super) fn station(
 ) -> Station {
     let plan_s = scenario.station.plan_time_us * 1e-6;
     if plan_s > 0.0 {
-        Station::with_workers(config, now, Box::new(OneCore { plan_s }))
+        let batch = PlanBatch::new();
+        Station::with_workers(config, now, Box::new(OneCore { plan_s, batch }))
     } else {
         Station::new(config, now)
     }
@@ -25,11 +27,12 @@ pub(super) fn station(
 struct OneCore {
     /// Time for a converged plan [s].
     plan_s: f64,
+    batch: PlanBatch,
 }
 
 impl Workers for OneCore {
     fn run(&mut self, jobs: &mut [Job<'_>]) -> Span {
-        Job::run_all(jobs);
+        Job::run_all(jobs, &mut self.batch);
         let plans: f64 = jobs.iter().map(|job| share(job.effort())).sum();
         Span::from_secs_f64(plans * self.plan_s)
     }
