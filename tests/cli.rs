@@ -181,6 +181,8 @@ const FIGURES: [&str; 25] = [
     "solver.riccati",
     "solver.clarabel",
     "solver.shifted",
+    "solver.real_time",
+    "solver.shed",
     "time_in_mode_s.tracking",
 ];
 

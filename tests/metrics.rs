@@ -272,7 +272,7 @@ fn the_json_has_the_documented_keys_and_no_others() {
     assert_eq!(keys(&json["robots"][0]), expected);
     assert_eq!(
         keys(&json["robots"][0]["solver"]),
-        ["clarabel", "riccati", "shifted"]
+        ["clarabel", "real_time", "riccati", "shed", "shifted"]
     );
 }
 

@@ -187,13 +187,8 @@ pub async fn run(setup: Setup, mut stop: mpsc::Receiver<()>) -> Result<Report, R
     let mut bus: Option<(Bus, Vec<Declared>)> = None;
     loop {
         tokio::select! {
-            result = &mut control => {
-                if let Some((bus, declared)) = bus.take() {
-                    drop(declared);
-                    let _ = tokio::task::spawn_blocking(move || bus.close()).await;
-                }
-                return result.map_err(|_| RunError::Died)?;
-            }
+            // In this order: what the control thread said before it ended is passed on before its end is.
+            biased;
             Some(asked) = stop.recv() => {
                 let () = asked;
                 let count = stops.fetch_add(1, Ordering::Relaxed);
@@ -214,6 +209,13 @@ pub async fn run(setup: Setup, mut stop: mpsc::Receiver<()>) -> Result<Report, R
                 }
                 Outgoing::Event(event) => log(&id, &event),
             },
+            result = &mut control => {
+                if let Some((bus, declared)) = bus.take() {
+                    drop(declared);
+                    let _ = tokio::task::spawn_blocking(move || bus.close()).await;
+                }
+                return result.map_err(|_| RunError::Died)?;
+            }
         }
     }
 }

@@ -118,8 +118,9 @@ def judged(runner, name, trajectory, passes, tight, left_out):
         timed = solved.copy()
         timed[0] = False
         u = np.array(ran[0]["u"])
-        # By instance, so that a row is not judged by one that it says it failed on.
-        off = np.abs(u - reference).max(axis=(1, 2))
+        # By instance, so that a row is not judged by one that it says it failed on. Nor are our rows judged by ours.
+        against = candidates["ipopt to 1e-12"] if row.startswith("ours") else reference
+        off = np.abs(u - against).max(axis=(1, 2))
         figures.append(
             {
                 "name": row,
@@ -158,7 +159,7 @@ def page(head, results):
         lines += [
             "",
             f"**{SETS[result['set']]}: {result['trajectory']}**, {result['instances']} instances. "
-            f"Δu is counted from {result['reference']} (largest KKT residual: {residuals}).",
+            f"Δu is counted from {result['reference']}, that of our rows from ipopt to 1e-12 (largest KKT residual: {residuals}).",
             "",
             "| solver | median [µs] | p99 [µs] | times faster than the paper's, median | iterations | solved | largest \\|Δu\\| | KKT residual |",
             "|---|---|---|---|---|---|---|---|",

@@ -55,10 +55,8 @@ pub async fn drive(
     let mut mode = None;
     loop {
         tokio::select! {
-            result = &mut control => {
-                let report = result.map_err(|_| RunError::Died)??;
-                return Ok(Drive { report, stage: driver.stage(), reason });
-            }
+            // In this order: what the control thread said before it ended is passed on before its end is.
+            biased;
             Some(()) = stop.recv() => {
                 let count = stops.fetch_add(1, Ordering::Relaxed);
                 info!(robot = %id, "{}", if count == 0 { "stopping: braking to rest" } else { "stopping: zero torque now" });
@@ -95,6 +93,10 @@ pub async fn drive(
                     }
                 }
                 Outgoing::Publish { .. } => {}
+            },
+            result = &mut control => {
+                let report = result.map_err(|_| RunError::Died)??;
+                return Ok(Drive { report, stage: driver.stage(), reason });
             }
         }
     }

@@ -33,6 +33,12 @@ pub struct Solved {
 pub fn all<const NX: usize>() -> Vec<(&'static str, fn(&[Problem<NX>]) -> Pass)> {
     vec![
         ("ours", ours::converged::<NX>),
+        ("ours, real-time iteration", ours::real_time::<NX>),
+        ("ours, batch of 8", ours::batch::<NX>),
+        (
+            "ours, batch of 8, real-time iteration",
+            ours::batch_real_time::<NX>,
+        ),
         ("Clarabel, sparse, Gauss-Newton", ours::clarabel::<NX>),
         (
             "Clarabel, condensed, Gauss-Newton",
