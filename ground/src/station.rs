@@ -421,7 +421,7 @@ impl Station {
         let load = *self.governor.load();
         let before = self.overload;
         match before {
-            _ if load.is_over() => self.overload = Some(now),
+            _ if load.has_cuts() => self.overload = Some(now),
             Some(last) if now.since(last) > OVERLOAD_OVER => self.overload = None,
             _ => {}
         }

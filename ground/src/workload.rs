@@ -80,7 +80,7 @@ pub struct Load {
 
 impl Load {
     /// Whether anything was left out of the last batch.
-    pub fn is_over(&self) -> bool {
+    pub fn has_cuts(&self) -> bool {
         self.real_time + self.shed > 0
     }
 }
@@ -215,7 +215,7 @@ mod tests {
         let mut governor = governor();
         let efforts = governor.share_out(Span::ZERO, &robots([1.0; 20]));
         assert_eq!(count(&efforts, Effort::Converge), 20);
-        assert!(!governor.load().is_over());
+        assert!(!governor.load().has_cuts());
     }
 
     #[test]
