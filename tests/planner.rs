@@ -133,12 +133,13 @@ fn mirrored_problem_has_the_mirrored_solution() {
         let (pose, u) = ALL[i % 3].at(t);
         let x0 = far_from(&mut rng, pose);
         let mut problem = centre(ALL[i % 3], t, [x0[0], x0[1], x0[2], u[0], u[1]]);
-        for row in &mut problem.half_planes {
-            row.push(HalfPlane {
+        for i in 0..20 {
+            let plane = HalfPlane {
                 normal: [0.6, 0.8],
                 offset: 0.6 * pose[0] + 0.8 * pose[1],
                 weight: 500.0,
-            });
+            };
+            assert!(problem.add_half_plane(i, plane));
         }
         let mut mirrored = problem.clone();
         mirrored.x0.component_mul_assign(&flip);

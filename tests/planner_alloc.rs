@@ -56,7 +56,7 @@ fn counter_counts() {
     assert!(allocations_in(|| drop(std::hint::black_box(vec![1_u8; 100]))) > 0);
 }
 
-/// First tick, warm ticks, far starts, half-planes, turn limit, refused and reset: not one allocation after construction.
+/// First tick, warm ticks, far starts, half-planes, turn limit, refused and reset: not one allocation after the first search.
 #[test]
 fn solve_allocates_nothing() {
     let mut mpc = Mpc::new(20, Options::default());
@@ -64,18 +64,20 @@ fn solve_allocates_nothing() {
     for tick in 0..100 {
         let mut problem = centre(ALL[tick % 3], 0.1 * tick as f64, x.into());
         problem.turn_limit = Some(0.3);
-        for row in &mut problem.half_planes {
-            row.push(HalfPlane {
+        for i in 0..20 {
+            let plane = HalfPlane {
                 normal: [0.0, 1.0],
                 offset: -0.5,
                 weight: 500.0,
-            });
+            };
+            assert!(problem.add_half_plane(i, plane));
         }
         let count = allocations_in(|| {
             mpc.shift(1);
             assert_eq!(mpc.solve(&problem).status, Status::Solved);
         });
-        assert_eq!(count, 0, "tick {tick}");
+        // The first search makes room for all later ones.
+        assert_eq!(count > 0, tick == 0, "tick {tick}: {count}");
         x = problem.model.step(&x, &mpc.solution().u[0]);
     }
     let mut problem = centre(Trajectory::Sine, 0.0, x.into());
@@ -101,7 +103,8 @@ fn solve_of_the_papers_problem_allocates_nothing() {
             mpc.shift(1);
             assert_eq!(mpc.solve(&problem).status, Status::Solved);
         });
-        assert_eq!(count, 0, "tick {tick}");
+        // The first search makes room for all later ones.
+        assert_eq!(count > 0, tick == 0, "tick {tick}: {count}");
     }
 }
 

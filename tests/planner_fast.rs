@@ -148,11 +148,14 @@ impl Case {
                 0 => problem.x0[tick % 5] = f64::NAN,
                 1 => problem.x_ref[7][1] = f64::INFINITY,
                 2 => problem.x0[0] += 1.0,
-                3 => problem.half_planes[4].push(HalfPlane {
-                    normal: [0.0, 1.0],
-                    offset: x[1] - 0.02,
-                    weight: 500.0,
-                }),
+                3 => {
+                    let plane = HalfPlane {
+                        normal: [0.0, 1.0],
+                        offset: x[1] - 0.02,
+                        weight: 500.0,
+                    };
+                    assert!(problem.add_half_plane(4, plane));
+                }
                 4 => problem.u_ref[19][1] = f64::NAN,
                 6 => problem.p_terminal[(1, 1)] = -5.0,
                 7 => problem.u_max[3][0] = -1.0,

@@ -156,7 +156,6 @@ fn fleet_of_lag(count: usize, horizon: usize, effort: Effort) -> Fleet<5> {
         problem.u_ref.truncate(horizon);
         problem.u_min.truncate(horizon);
         problem.u_max.truncate(horizon);
-        problem.half_planes.truncate(horizon);
         problem.p_terminal = terminal_weight(
             &problem.model,
             &problem.x_ref[horizon - 1],

@@ -53,19 +53,26 @@ pub enum Effort {
 
 /// Solves one robot's problems, tick after tick, each from the last solution.
 ///
-/// Allocates when it is built and at the first use of Clarabel, not in a solve by Riccati sweeps.
+/// Allocates when it is built, at the first search and at the first use of Clarabel; no other solve does.
 pub struct Mpc<const NX: usize> {
     options: Options,
+    horizon: usize,
+    /// Whether `solution` is one to start from.
+    is_warm: bool,
+    /// Whether `robust.sqp` has that solution as its point, with costates and active sets: not after a tick on the fast path.
+    is_adopted: bool,
+    /// Knots by which the problem has moved on since the solution.
+    shifted: usize,
+    solution: Solution<NX>,
+    /// Apart, for a thousand robots' solutions to lie close together.
+    robust: Option<Box<Robust<NX>>>,
+}
+
+/// Scratch space and memory of the solvers that search, and scratch space of the fast path for this robot alone.
+struct Robust<const NX: usize> {
     sqp: Sqp<NX>,
     clarabel: ClarabelQp<NX>,
-    /// Whether `sqp.point` is a solution to start from.
-    is_warm: bool,
-    /// Whether the rest of `sqp`, its costates and active sets, belongs to that point: not after a tick on the fast path.
-    is_adopted: bool,
-    /// Knots by which the point was moved on since it was the solution.
-    shifted: usize,
     alone: Alone<NX>,
-    solution: Solution<NX>,
 }
 
 impl Default for Options {
@@ -85,13 +92,12 @@ impl<const NX: usize> Mpc<NX> {
     pub fn new(horizon: usize, options: Options) -> Self {
         Self {
             options,
-            sqp: Sqp::new(horizon),
-            clarabel: ClarabelQp::new(),
+            horizon,
             is_warm: false,
             is_adopted: true,
             shifted: 0,
-            alone: Alone::new(horizon),
             solution: Solution::new(horizon),
+            robust: None,
         }
     }
 
@@ -108,9 +114,10 @@ impl<const NX: usize> Mpc<NX> {
     /// Moves the last solution on by `knots`, for a problem that begins as much later. Nothing to do after a failure.
     pub fn shift(&mut self, knots: usize) {
         if self.is_warm {
-            self.sqp.shift_point(knots);
-            if self.is_adopted {
-                self.sqp.shift_active(knots);
+            if self.is_adopted
+                && let Some(robust) = &mut self.robust
+            {
+                robust.sqp.shift(knots);
             }
             self.shifted = self.shifted.saturating_add(knots);
         }
@@ -127,8 +134,9 @@ impl<const NX: usize> Mpc<NX> {
 
     /// Room for `problem`.
     fn prepare(&mut self, problem: &Problem<NX>) {
-        if problem.horizon() != self.sqp.point.u.len() {
-            self.sqp = Sqp::new(problem.horizon());
+        if problem.horizon() != self.horizon {
+            self.horizon = problem.horizon();
+            self.robust = None;
             self.is_warm = false;
         }
     }
@@ -143,21 +151,30 @@ impl<const NX: usize> Mpc<NX> {
 
     /// Solves `problem` by the searching SQP, after `iterations` on the fast path.
     fn search(&mut self, problem: &Problem<NX>, iterations: u32) {
-        self.solution.clear();
-        self.solution.iterations = iterations;
-        self.solution.path = Path::Searched;
-        if let Err(error) = problem.validate() {
-            return self.refuse(error.into());
-        }
+        let mut refusal = problem.validate().err().map(Refusal::from);
         if self.options.solver == Solver::Riccati && problem.couples_inputs() {
-            return self.refuse(Refusal::NeedsClarabel);
+            refusal = refusal.or(Some(Refusal::NeedsClarabel));
         }
+        if let Some(refusal) = refusal {
+            self.begin_search(iterations);
+            self.is_warm = false;
+            self.solution.status = Status::Refused;
+            self.solution.refusal = Some(refusal);
+            return;
+        }
+        let mut robust = self
+            .robust
+            .take()
+            .unwrap_or_else(|| Box::new(Robust::new(self.horizon)));
         if self.is_warm && !self.is_adopted {
-            self.sqp.adopt_point(problem);
+            robust
+                .sqp
+                .adopt_point(problem, &self.solution, self.shifted);
         }
+        self.begin_search(iterations);
         self.is_adopted = true;
         self.shifted = 0;
-        let outcome = self.attempt(problem);
+        let outcome = self.attempt(&mut robust, problem);
         self.is_warm = outcome == Outcome::Converged;
         self.solution.status = match outcome {
             Outcome::Converged => Status::Solved,
@@ -169,10 +186,18 @@ impl<const NX: usize> Mpc<NX> {
         }
         if outcome != Outcome::Infeasible {
             if outcome == Outcome::Stalled {
-                self.sqp.make_drivable(problem);
+                robust.sqp.make_drivable(problem);
             }
-            self.write_solution(problem);
+            self.write_solution(&robust.sqp, problem);
         }
+        self.robust = Some(robust);
+    }
+
+    /// No solution yet, after `iterations` on the fast path.
+    fn begin_search(&mut self, iterations: u32) {
+        self.solution.clear();
+        self.solution.iterations = iterations;
+        self.solution.path = Path::Searched;
     }
 
     /// The last solution.
@@ -181,18 +206,19 @@ impl<const NX: usize> Mpc<NX> {
     }
 
     /// From the last solution, then from the references, then by Clarabel: until one converges.
-    fn attempt(&mut self, problem: &Problem<NX>) -> Outcome {
+    fn attempt(&mut self, robust: &mut Robust<NX>, problem: &Problem<NX>) -> Outcome {
         let options = self.options;
         if options.solver != Solver::Clarabel && !problem.couples_inputs() {
             self.solution.method = Method::Riccati;
             if self.is_warm {
-                self.sqp.start_warm(problem);
-                if self.run_riccati(problem, options.iterations_warm) == Outcome::Converged {
+                robust.sqp.start_warm(problem);
+                if self.run_riccati(robust, problem, options.iterations_warm) == Outcome::Converged
+                {
                     return Outcome::Converged;
                 }
             }
-            self.sqp.start_cold(problem);
-            let outcome = self.run_riccati(problem, options.iterations_cold);
+            robust.sqp.start_cold(problem);
+            let outcome = self.run_riccati(robust, problem, options.iterations_cold);
             if outcome == Outcome::Converged || options.solver == Solver::Riccati {
                 return outcome;
             }
@@ -200,49 +226,44 @@ impl<const NX: usize> Mpc<NX> {
         }
         self.solution.method = Method::Clarabel;
         if self.is_warm {
-            self.sqp.start_warm(problem);
-            if self.run_clarabel(problem) == Outcome::Converged {
+            robust.sqp.start_warm(problem);
+            if self.run_clarabel(robust, problem) == Outcome::Converged {
                 return Outcome::Converged;
             }
         }
-        self.sqp.start_cold(problem);
-        self.run_clarabel(problem)
+        robust.sqp.start_cold(problem);
+        self.run_clarabel(robust, problem)
     }
 
-    fn run_riccati(&mut self, problem: &Problem<NX>, iterations_max: u32) -> Outcome {
-        let run = self.sqp.run(problem, Quadratic::Riccati, iterations_max);
+    fn run_riccati(
+        &mut self,
+        robust: &mut Robust<NX>,
+        problem: &Problem<NX>,
+        iterations_max: u32,
+    ) -> Outcome {
+        let run = robust.sqp.run(problem, Quadratic::Riccati, iterations_max);
         self.solution.iterations += run.iterations;
         run.outcome
     }
 
-    fn run_clarabel(&mut self, problem: &Problem<NX>) -> Outcome {
-        let quadratic = Quadratic::Clarabel(&mut self.clarabel);
-        let run = self
+    fn run_clarabel(&mut self, robust: &mut Robust<NX>, problem: &Problem<NX>) -> Outcome {
+        let quadratic = Quadratic::Clarabel(&mut robust.clarabel);
+        let run = robust
             .sqp
             .run(problem, quadratic, self.options.iterations_clarabel);
         self.solution.iterations += run.iterations;
         if run.outcome == Outcome::Converged {
-            self.sqp.close_gains(problem);
+            robust.sqp.close_gains(problem);
         }
         run.outcome
     }
 
-    fn refuse(&mut self, refusal: Refusal) {
-        self.is_warm = false;
-        self.solution.status = Status::Refused;
-        self.solution.refusal = Some(refusal);
-    }
-
-    fn write_solution(&mut self, problem: &Problem<NX>) {
-        self.solution.cost = subproblem::cost(problem, &self.sqp.point);
+    fn write_solution(&mut self, sqp: &Sqp<NX>, problem: &Problem<NX>) {
+        let (point, solution) = (&sqp.point, &mut self.solution);
+        solution.cost = subproblem::cost(problem, point);
         for k in 0..problem.horizon() {
-            self.solution.gains.push(*self.sqp.gain(k));
+            solution.gains.push(*sqp.gain(k));
         }
-        self.write_point(problem);
-    }
-
-    fn write_point(&mut self, problem: &Problem<NX>) {
-        let (point, solution) = (&self.sqp.point, &mut self.solution);
         solution.u.extend_from_slice(&point.u);
         match problem.first_input {
             FirstInput::Decided => solution.x.extend_from_slice(&point.x),
@@ -250,6 +271,16 @@ impl<const NX: usize> Mpc<NX> {
                 solution.x.push(problem.x0);
                 solution.x.extend_from_slice(&point.x[..problem.horizon()]);
             }
+        }
+    }
+}
+
+impl<const NX: usize> Robust<NX> {
+    fn new(horizon: usize) -> Self {
+        Self {
+            sqp: Sqp::new(horizon),
+            clarabel: ClarabelQp::new(),
+            alone: Alone::new(horizon),
         }
     }
 }

@@ -201,7 +201,7 @@ fn plane_gradient<const NX: usize>(
 ) -> SVector<f64, NX> {
     let mut gradient = SVector::zeros();
     if let Some(row) = state_row(problem, k) {
-        for plane in &problem.half_planes[row] {
+        for plane in problem.half_planes_at(row) {
             let gap = plane.gap(x[0], x[1]).min(0.0);
             for i in 0..2 {
                 gradient[i] += 2.0 * plane.weight * gap * plane.normal[i];

@@ -47,7 +47,7 @@ pub struct Problem<const NX: usize> {
     pub u_max: Vec<Vector2<f64>>,
     /// Greatest change of the input from knot to knot, hard [m/s, rad]. Given: Clarabel solves.
     pub du_max: Option<Vector2<f64>>,
-    /// Soft half-planes, N rows: row i holds those for the position of xᵢ₊₁.
+    /// Soft half-planes: none at all, or N rows, of which row i holds those for the position of xᵢ₊₁ ([`Problem::add_half_plane`]).
     pub half_planes: Vec<ArrayVec<HalfPlane, HALF_PLANES_MAX>>,
     /// Greatest tan|q_c| v² [m²/s²]. Bounds q_c of each knot by the speed of the same plan: a bound on the roll, which never
     /// trades speed for roll. The bound follows the iterates; where plan and bound chase each other, far from the reference,
@@ -146,7 +146,7 @@ impl<const NX: usize> Problem<NX> {
             u_min: vec![Vector2::new(-0.5, -roll); horizon],
             u_max: vec![Vector2::new(1.0, roll); horizon],
             du_max: None,
-            half_planes: vec![ArrayVec::new(); horizon],
+            half_planes: Vec::new(),
             turn_limit: None,
         }
     }
@@ -160,6 +160,21 @@ impl<const NX: usize> Problem<NX> {
     pub fn set_bounds(&mut self, min: Vector2<f64>, max: Vector2<f64>) {
         self.u_min.fill(min);
         self.u_max.fill(max);
+    }
+
+    /// Adds a half-plane for the position of xᵢ₊₁; the first one makes room. Whether there is such a knot with room for it.
+    pub fn add_half_plane(&mut self, i: usize, plane: HalfPlane) -> bool {
+        if self.half_planes.is_empty() {
+            self.half_planes.resize(self.horizon(), ArrayVec::new());
+        }
+        self.half_planes
+            .get_mut(i)
+            .is_some_and(|row| row.try_push(plane).is_ok())
+    }
+
+    /// Half-planes for the position of xᵢ₊₁.
+    pub(super) fn half_planes_at(&self, i: usize) -> &[HalfPlane] {
+        self.half_planes.get(i).map_or(&[], |row| row)
     }
 
     /// Whether consecutive inputs are coupled, by a cost or by a bound on their difference.
@@ -191,11 +206,17 @@ impl<const NX: usize> Problem<NX> {
         if horizon == 0 {
             return Err(ProblemError::Empty);
         }
+        let none = if self.half_planes.is_empty() {
+            horizon
+        } else {
+            0
+        };
         for (field, rows) in [
             ("u_ref", self.u_ref.len()),
             ("u_min", self.u_min.len()),
             ("u_max", self.u_max.len()),
-            ("half_planes", self.half_planes.len()),
+            // None is as good as N empty rows.
+            ("half_planes", self.half_planes.len().max(none)),
         ] {
             if rows != horizon {
                 return Err(ProblemError::Rows {

@@ -8,8 +8,10 @@ use nalgebra::{SVector, Vector2};
 
 use super::bounds::{Bounds, Follow, roll_bounds};
 use super::clarabel::{ClarabelError, ClarabelQp};
-use super::problem::Problem;
+use super::fast;
+use super::problem::{FirstInput, Problem};
 use super::riccati::{Active, Riccati, RiccatiError};
+use super::solution::Solution;
 use super::subproblem::{Hessian, Point, Step, Subproblem, cost, first_state, state_gradient};
 
 /// The iterate and the buffers of one problem size.
@@ -112,14 +114,10 @@ impl<const NX: usize> Sqp<NX> {
         self.point.x[0] = x0;
     }
 
-    /// Moves the last point on by `knots`; its last input is held.
-    pub(super) fn shift_point(&mut self, knots: usize) {
+    /// Moves the last point, its costates and active sets on by `knots`; its last input is held.
+    pub(super) fn shift(&mut self, knots: usize) {
         shift_rows(&mut self.point.x, knots);
         shift_rows(&mut self.point.u, knots);
-    }
-
-    /// Moves costates and active sets on by `knots`, beside [`Sqp::shift_point`].
-    pub(super) fn shift_active(&mut self, knots: usize) {
         let horizon = self.point.u.len();
         let knots = knots.min(horizon);
         shift_rows(&mut self.lambda, knots);
@@ -131,8 +129,26 @@ impl<const NX: usize> Sqp<NX> {
         }
     }
 
-    /// Costates and active sets for a point that was found elsewhere: the adjoint of the point, the bounds that it lies on.
-    pub(super) fn adopt_point(&mut self, problem: &Problem<NX>) {
+    /// Starts from a `solution` that was found elsewhere, moved on by `knots`: costates are the adjoint of the point, active the bounds
+    /// that it lies on. As many rows as the problem's are asked for.
+    pub(super) fn adopt_point(
+        &mut self,
+        problem: &Problem<NX>,
+        solution: &Solution<NX>,
+        knots: usize,
+    ) {
+        let (point, horizon) = (&mut self.point, problem.horizon());
+        point.u.copy_from_slice(&solution.u);
+        match problem.first_input {
+            FirstInput::Decided => point.x.copy_from_slice(&solution.x),
+            FirstInput::Measured => {
+                point.x[..horizon].copy_from_slice(&solution.x[1..]);
+                point.x[horizon] =
+                    fast::step(problem, &point.x[horizon - 1], &point.u[horizon - 1]);
+            }
+        }
+        shift_rows(&mut point.x, knots);
+        shift_rows(&mut point.u, knots);
         let mut lambda = SVector::zeros();
         for k in (0..self.point.u.len()).rev() {
             lambda += state_gradient(problem, k + 1, &self.point.x[k + 1]);

@@ -215,7 +215,7 @@ impl<const NX: usize> Subproblem<NX> {
             self.planes[k].clear();
             return;
         };
-        let given = &problem.half_planes[row];
+        let given = problem.half_planes_at(row);
         let planes = &mut self.planes[k];
         planes.truncate(given.len());
         for (i, half_plane) in given.iter().enumerate() {
@@ -291,7 +291,7 @@ pub(super) fn cost<const NX: usize>(problem: &Problem<NX>, point: &Point<NX>) ->
         } else {
             error.component_mul(&error).dot(&problem.q)
         };
-        for half_plane in &problem.half_planes[row] {
+        for half_plane in problem.half_planes_at(row) {
             let gap = half_plane.gap(x[0], x[1]).min(0.0);
             cost += half_plane.weight * gap * gap;
         }

@@ -213,8 +213,8 @@ impl Reader<'_> {
             problem.du_max = Some(Vector2::from(self.weights("du_max_per_step_mps_rad")?));
         }
         if let Some(half_plane) = self.half_plane()? {
-            for row in &mut problem.half_planes {
-                row.push(half_plane);
+            for i in 0..horizon {
+                problem.add_half_plane(i, half_plane);
             }
         }
         problem

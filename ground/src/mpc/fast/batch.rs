@@ -1,6 +1,6 @@
 //! Many robots' ticks at once.
 
-use super::isa::{InstructionSet, Wide};
+use super::isa::{InstructionSet, Wide, prefetch};
 use crate::mpc::{FirstInput, Mpc, Problem};
 
 /// One robot's tick in a [`Batch`].
@@ -43,7 +43,15 @@ impl<const NX: usize> Batch<NX> {
             let alike = rest.iter().take_while(|tick| tick.shape == shape).count();
             let (group, others) = core::mem::take(&mut rest).split_at_mut(alike);
             rest = others;
-            for chunk in group.chunks_mut(self.wide.width()) {
+            let mut ahead = &mut *group;
+            while !ahead.is_empty() {
+                let width = self.wide.width().min(ahead.len());
+                let (chunk, later) = ahead.split_at_mut(width);
+                // What the next ones read and write is on its way while these are computed.
+                for tick in later.iter().take(self.wide.width()) {
+                    tick.prefetch();
+                }
+                ahead = later;
                 if shape.is_fast && chunk.len() >= LANES_MIN {
                     self.wide.drive(chunk);
                 } else {
@@ -71,6 +79,32 @@ struct Shape {
 }
 
 impl<'a, const NX: usize> Tick<'a, NX> {
+    /// Brings what the fast path reads and writes into the cache.
+    fn prefetch(&self) {
+        let (problem, solution) = (self.problem, &self.mpc.solution);
+        prefetch(&solution.x);
+        prefetch(&solution.u);
+        prefetch(&solution.gains);
+        prefetch(&problem.x_ref);
+        prefetch(&problem.u_ref);
+        prefetch(&problem.u_min);
+        prefetch(&problem.u_max);
+    }
+
+    /// Of a solver and problem that may be fast.
+    pub(super) fn of_fast(mpc: &'a mut Mpc<NX>, problem: &'a Problem<NX>) -> Self {
+        let shape = Shape {
+            is_fast: true,
+            is_measured: problem.first_input == FirstInput::Measured,
+            horizon: problem.horizon(),
+        };
+        Self {
+            mpc,
+            problem,
+            shape,
+        }
+    }
+
     /// Of a solver that is shifted already, with its last solution; the new one is [`Mpc::solution`].
     pub fn new(mpc: &'a mut Mpc<NX>, problem: &'a Problem<NX>) -> Self {
         mpc.prepare(problem);
@@ -88,4 +122,4 @@ impl<'a, const NX: usize> Tick<'a, NX> {
 }
 
 /// Fewer robots than this are faster one by one.
-const LANES_MIN: usize = 3;
+const LANES_MIN: usize = 2;

@@ -8,11 +8,9 @@
 //! Differs from `sqp` on `riccati`: the active set follows from each iterate instead of being iterated on each subproblem, λ is the iterate's
 //! adjoint instead of the subproblem's multiplier, nothing is searched. Where both converge they end at the same point.
 
-use nalgebra::SMatrix;
-
 use super::knot::{Expansion, Model};
 use super::lanes::Lanes;
-use super::trig::atan;
+use super::trig::{atan, rounded};
 
 /// Problems of up to [`Lanes::WIDTH`] robots with M stages each, and their iterate.
 #[derive(Debug)]
@@ -29,6 +27,16 @@ pub(super) struct Sweep<L: Lanes, const NX: usize> {
     pub(super) terminal: [[L; NX]; NX],
     /// Greatest tan|q_c| v² [m²/s²]; infinite: none.
     pub(super) turn_limit: L,
+    /// As given: the state at the beginning, the input before, P with both triangles; and whether that input moves the state.
+    pub(super) given: [L; NX],
+    pub(super) u_prev: [L; 2],
+    pub(super) p: [[L; NX]; NX],
+    pub(super) is_measured: bool,
+    /// Stages at whose end the last solution has a state, and its heading where the first one begins [rad].
+    pub(super) known: L,
+    pub(super) heading: L,
+    /// Above 0 for lanes that [`Self::settle`] is about.
+    pub(super) is_open: L,
 }
 
 /// One stage: what is given, the iterate's input, and what the way back leaves for the way forth.
@@ -87,6 +95,13 @@ impl<L: Lanes, const NX: usize> Sweep<L, NX> {
             input_weight: [zero; 2],
             terminal: [[zero; NX]; NX],
             turn_limit: zero,
+            given: [zero; NX],
+            u_prev: [zero; 2],
+            p: [[zero; NX]; NX],
+            is_measured: false,
+            known: zero,
+            heading: zero,
+            is_open: zero,
         }
     }
 
@@ -110,6 +125,66 @@ impl<L: Lanes, const NX: usize> Sweep<L, NX> {
         };
         self.stages.resize(stages, stage);
         self.x.resize(stages + 1, [zero; NX]);
+    }
+
+    /// Makes an iterate of what was loaded: the last solution, rolled out where it ends. Where all that was loaded makes sense but the
+    /// references and weights, which the cost tells.
+    #[inline(always)]
+    pub(super) fn start(&mut self) -> L::Mask {
+        let number = L::splat;
+        let model = self.model;
+        let mut is_good = self.start_terminal();
+        self.x[0] = if self.is_measured {
+            is_good = L::and(is_good, model.is_near(&self.given, &self.u_prev));
+            model.step(&self.given, &self.u_prev)
+        } else {
+            self.given
+        };
+        // A heading is the same after a turn, the plan must be near the one given.
+        let turn = number(core::f64::consts::TAU);
+        let turns = rounded((self.x[0][2] - self.heading) / turn) * turn;
+        let end = number(core::f64::consts::FRAC_PI_2);
+        for (k, stage) in self.stages.iter().enumerate() {
+            for j in 0..2 {
+                // Not where either is NaN.
+                let width = stage.upper[j] - stage.lower[j];
+                let is_width = L::and(
+                    L::not(width.less(number(0.0))),
+                    width.less(number(f64::INFINITY)),
+                );
+                is_good = L::and(is_good, is_width);
+            }
+            let is_roll = L::and((-end).less(stage.lower[1]), stage.upper[1].less(end));
+            is_good = L::and(is_good, is_roll);
+            self.x[k + 1][2] = self.x[k + 1][2] + turns;
+            let is_known = number(k as f64).less(self.known);
+            if L::any(L::not(is_known)) {
+                // Where the last solution ends its last input is held.
+                let next = model.step(&self.x[k], &stage.u);
+                for j in 0..NX {
+                    self.x[k + 1][j] = self.x[k + 1][j].or(is_known, next[j]);
+                }
+            }
+        }
+        is_good
+    }
+
+    /// Makes the lanes of `is_open` drivable: rolls within the turn limit at the plan's own speed, states rolled out.
+    #[inline(always)]
+    pub(super) fn settle(&mut self) -> L::Mask {
+        let is_open = L::splat(0.0).less(self.is_open);
+        for (k, stage) in self.stages.iter_mut().enumerate() {
+            let x = self.x[k];
+            let (lower, upper) = (stage.lower[1], stage.upper[1]);
+            let (least, most, _) = roll_bounds(self.turn_limit, lower, upper, &x, &stage.u);
+            let roll = stage.u[1].greater(least).lesser(most);
+            stage.u[1] = roll.or(is_open, stage.u[1]);
+            let next = self.model.step(&x, &stage.u);
+            for j in 0..NX {
+                self.x[k + 1][j] = next[j].or(is_open, self.x[k + 1][j]);
+            }
+        }
+        is_open
     }
 
     /// One iteration in every lane.
@@ -394,7 +469,7 @@ impl<L: Lanes, const NX: usize> Sweep<L, NX> {
 
     /// Where P is positive semidefinite to rounding, as `Problem::validate` asks: pivots of 2P, shifted by more than its rounding.
     #[inline(always)]
-    pub(super) fn terminal_is_semidefinite(&self) -> L::Mask {
+    fn terminal_is_semidefinite(&self) -> L::Mask {
         let zero = L::splat(0.0);
         let mut p = self.terminal;
         let mut size = zero;
@@ -418,19 +493,29 @@ impl<L: Lanes, const NX: usize> Sweep<L, NX> {
         holds
     }
 
-    /// Sets 2P of `lane` from P. Whether P is finite and symmetric to rounding.
-    pub(super) fn set_terminal(&mut self, lane: usize, p: &SMatrix<f64, NX, NX>) -> bool {
-        let (mut size, mut skew) = (0.0_f64, 0.0_f64);
+    /// Sets 2P from P. Where P is finite, symmetric to rounding and positive semidefinite to rounding.
+    #[inline(always)]
+    fn start_terminal(&mut self) -> L::Mask {
+        let zero = L::splat(0.0);
+        let (mut size, mut skew, mut sum) = (zero, zero, zero);
         for i in 0..NX {
+            for j in 0..NX {
+                sum = sum + self.p[j][i];
+            }
             for j in i..NX {
-                size = size.max(p[(i, j)].abs());
-                skew = skew.max((p[(i, j)] - p[(j, i)]).abs());
-                self.terminal[i][j].set_lane(lane, 2.0 * p[(i, j)]);
+                let above = self.p[i][j];
+                size = above.abs().greater(size);
+                skew = (above - self.p[j][i]).abs().greater(skew);
+                self.terminal[i][j] = L::splat(2.0) * above;
             }
         }
-        // `max` drops a NaN, but the cost is NaN then; below the diagonal it makes the other sum NaN.
-        let sum: f64 = p.iter().sum();
-        sum.is_finite() && skew <= 1e-9 * size
+        // A NaN is dropped by `greater`; it makes the sum NaN.
+        let is_finite = sum.abs().less(L::splat(f64::INFINITY));
+        let is_symmetric = L::not((L::splat(1e-9) * size).less(skew));
+        L::and(
+            L::and(is_finite, is_symmetric),
+            self.terminal_is_semidefinite(),
+        )
     }
 }
 
@@ -496,7 +581,7 @@ impl<L: Lanes> Rows<L> {
 
 /// Bounds of q_c with the turn limit, and where it narrows them: as `Problem::roll_bounds`.
 #[inline(always)]
-pub(super) fn roll_bounds<L: Lanes, const NX: usize>(
+fn roll_bounds<L: Lanes, const NX: usize>(
     limit: L,
     lower: L,
     upper: L,

@@ -67,7 +67,7 @@ pub(super) fn polynomial<L: Lanes, const N: usize>(z: L, coefficients: &[f64; N]
 
 /// To the nearest integer, ties to even, for |x| < 2⁵¹: no instruction set is asked for its own.
 #[inline(always)]
-fn rounded<L: Lanes>(x: L) -> L {
+pub(super) fn rounded<L: Lanes>(x: L) -> L {
     const SHIFT: f64 = 6_755_399_441_055_744.0; // 1.5 · 2⁵²
     (x + L::splat(SHIFT)) - L::splat(SHIFT)
 }

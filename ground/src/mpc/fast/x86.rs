@@ -14,6 +14,22 @@ use core::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::lanes::Lanes;
 
+/// Asks for `rows` to be brought into the cache; changes nothing.
+#[inline(always)]
+pub(super) fn prefetch<T>(rows: &[T]) {
+    let bytes = core::mem::size_of_val(rows);
+    for offset in (0..bytes).step_by(LINE) {
+        // SAFETY: within `rows`, and every machine of the target has the instruction.
+        unsafe {
+            let line = rows.as_ptr().cast::<i8>().add(offset);
+            _mm_prefetch::<_MM_HINT_T0>(line);
+        }
+    }
+}
+
+/// Of the cache [bytes].
+const LINE: usize = 64;
+
 /// Four lanes, a register of AVX2.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Avx2(__m256d);
