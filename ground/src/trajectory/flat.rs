@@ -49,8 +49,8 @@ pub(super) fn state_along_centre(
     branch: f64,
 ) -> [f64; 5] {
     // Two orders of the path less at each pass, as in `Turn::last`.
-    let (px, py) = Turn::<7, 6, 5>::of(x, y, r).point();
-    let (px, py) = Turn::<5, 4, 3>::of(px, py, r).point();
+    let (px, py) = Turn::<7, 6, 5>::of(x, y, r).point_beside(&x, &y);
+    let (px, py) = Turn::<5, 4, 3>::of(px, py, r).point_beside(&x, &y);
     let last = Turn::<3, 2, 1>::of(px, py, r);
     let [x, y] = last.centre();
     let (q_r, v) = (last.q_r.value(), (last.w() * last.d).value());
@@ -95,7 +95,7 @@ pub(super) fn curvature_of_roll(q_r: f64, r: f64) -> f64 {
 
 /// What a path of P with N orders implies, to E = N − 2 of them (D = N − 1).
 struct Turn<const N: usize, const D: usize, const E: usize> {
-    p: [Jet<E>; 2],    // P [m]
+    p: [f64; 2],       // P [m]
     rate: [Jet<E>; 2], // Ṗ [m/s]
     square: Jet<E>,    // w² = |Ṗ|² [m²/s²]
     inverse: Jet<E>,   // 1/w [s/m]
@@ -107,8 +107,8 @@ struct Turn<const N: usize, const D: usize, const E: usize> {
 impl Turn<4, 3, 2> {
     /// After both passes, with the rates of speed and roll.
     fn last(x: Jet<ORDERS>, y: Jet<ORDERS>, r: f64) -> Self {
-        let (px, py) = Turn::<8, 7, 6>::of(x, y, r).point();
-        let (px, py) = Turn::<6, 5, 4>::of(px, py, r).point();
+        let (px, py) = Turn::<8, 7, 6>::of(x, y, r).point_beside(&x, &y);
+        let (px, py) = Turn::<6, 5, 4>::of(px, py, r).point_beside(&x, &y);
         Self::of(px, py, r)
     }
 
@@ -128,7 +128,7 @@ impl<const N: usize, const D: usize, const E: usize> Turn<N, D, E> {
         let cube = square.power(-1.5, inverse * inverse * inverse);
         let (q_r, d) = roll_of_turn(cross * cube * r);
         Self {
-            p: [x.truncated(), y.truncated()],
+            p: [x.value(), y.value()],
             rate,
             square,
             inverse: cube * square,
@@ -138,12 +138,12 @@ impl<const N: usize, const D: usize, const E: usize> Turn<N, D, E> {
         }
     }
 
-    /// P = C − R q_r n of the next pass, for the centre that was taken for P, with this roll and normal [m].
-    fn point(&self) -> (Jet<E>, Jet<E>) {
+    /// P = C − R q_r n for the centre (x, y) [m], with this roll and normal.
+    fn point_beside<const M: usize>(&self, x: &Jet<M>, y: &Jet<M>) -> (Jet<E>, Jet<E>) {
         let side = self.q_r * self.inverse * self.r;
         (
-            self.p[0] + side * self.rate[1],
-            self.p[1] - side * self.rate[0],
+            x.truncated() + side * self.rate[1],
+            y.truncated() - side * self.rate[0],
         )
     }
 
@@ -151,8 +151,8 @@ impl<const N: usize, const D: usize, const E: usize> Turn<N, D, E> {
     fn centre(&self) -> [f64; 2] {
         let side = self.q_r.value() * self.inverse.value() * self.r;
         [
-            self.p[0].value() - side * self.rate[1].value(),
-            self.p[1].value() + side * self.rate[0].value(),
+            self.p[0] - side * self.rate[1].value(),
+            self.p[1] + side * self.rate[0].value(),
         ]
     }
 
