@@ -323,7 +323,7 @@ impl Trajectory {
     pub fn nominal(&self, t: f64) -> [f64; 2] {
         match self {
             Self::Sine { .. } | Self::Lemniscate { .. } => {
-                let (x, y) = self.path::<1>(t);
+                let (x, y) = self.path::<2>(t);
                 [x.value(), y.value()]
             }
             _ => {

@@ -29,7 +29,7 @@ pub fn terminal_weight<const NX: usize>(
 }
 
 /// P = Q + AᵀPA − AᵀPB (R + BᵀPB)⁻¹ BᵀPA by structure-preserving doubling: iteration k holds the cost of 2ᵏ steps, so that some
-/// eight suffice where the plain recursion takes hundreds.
+/// nine suffice where the plain recursion takes hundreds.
 ///
 /// `None` if it does not converge: (A, B) is not stabilisable, or a number is not finite.
 pub fn solve<const NX: usize>(
