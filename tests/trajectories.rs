@@ -2,7 +2,7 @@
 
 use std::f64::consts::{FRAC_PI_4, PI, TAU};
 
-use sphere_ground::trajectory::{Mission, Pose, ReferencePoint, Trajectory};
+use sphere_ground::trajectory::{Along, Mission, Pose, Reference, ReferencePoint, Trajectory};
 use sphere_protocol::robot::Robot;
 
 fn liu() -> Robot {
@@ -189,6 +189,33 @@ fn heading_is_continuous_and_finite() {
                 trajectory.reference(t + 1e-9),
             );
             assert!((a.heading - b.heading).abs() < 1e-8, "{mission:?} at {t}");
+        }
+    }
+}
+
+/// What a plan asks for alone, states without rates and commands without poses, is the reference to the last bit; before the start, over all
+/// of it and after its end.
+#[test]
+fn parts_of_a_reference_are_the_reference() {
+    let bits = |values: &[f64]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+    for (name, mission, until) in missions() {
+        let trajectory = trajectory(&mission);
+        let along = Along {
+            trajectory: &trajectory,
+            from: 1.7,
+        };
+        for k in -50..2000 {
+            let t = until * f64::from(k) / 1900.0;
+            let p = trajectory.reference(1.7 + t);
+            let state = [p.x, p.y, p.heading, p.v, p.q_r];
+            assert_eq!(along.point(t), p, "{name} at {t}");
+            assert_eq!(bits(&along.state(t)), bits(&state), "{name} at {t}");
+            let motion = along.motion(t);
+            assert_eq!(
+                bits(&[motion.v, motion.q_r, motion.v_rate, motion.q_r_rate]),
+                bits(&[p.v, p.q_r, p.v_rate, p.q_r_rate]),
+                "{name} at {t}"
+            );
         }
     }
 }

@@ -8,7 +8,7 @@ use nalgebra::Vector2;
 use sphere_ground::mpc::{Batch, Effort, Mpc, Options, Problem, Solver, Tick, terminal_weight};
 use sphere_ground::planner::{Beginning, Job, PlanBatch, Planner};
 use sphere_ground::settings::PlannerSettings;
-use sphere_ground::trajectory::{Mission, Pose, Trajectory};
+use sphere_ground::trajectory::{Along, Mission, Pose, Reference, Trajectory};
 use sphere_protocol::robot::Robot;
 
 use crate::tracking::{self, centre, paper};
@@ -229,17 +229,16 @@ fn whole_ticks(bencher: Bencher, count: usize) {
         .counter(divan::counter::ItemsCount::new(count))
         .bench_local(|| {
             let references: Vec<_> = (0..count)
-                .map(|i| {
-                    let course = &course;
-                    let begin = 0.1 * f64::from(tick) + 0.1 * i as f64;
-                    move |t: f64| course.reference(begin + t)
+                .map(|i| Along {
+                    trajectory: &course,
+                    from: 0.1 * f64::from(tick) + 0.1 * i as f64,
                 })
                 .collect();
             let mut jobs: Vec<_> = planners
                 .iter_mut()
                 .zip(&references)
                 .map(|(planner, reference)| {
-                    let at = reference(0.0);
+                    let at = reference.point(0.0);
                     Job {
                         planner,
                         beginning: Beginning {

@@ -4,7 +4,7 @@
 //! derivative to machine precision. Recurrences: Griewank and Walther, *Evaluating Derivatives*, 2nd ed., table 13.1 and 13.2.
 
 use core::array;
-use core::ops::{Add, Div, Mul, Neg, Sub};
+use core::ops::{Add, Mul, Sub};
 
 /// f(t₀ + h) = Σ c[k] hᵏ, k < N: the value and N − 1 derivatives of one quantity at one instant.
 ///
@@ -69,34 +69,60 @@ impl<const N: usize> Jet<N> {
         }
     }
 
-    /// The q with sin q = f (cos q + q sin q) whose value is `value`, a solution already.
+    /// The q with sin q = f (cos q + q sin q) whose value is `value`, a solution already, and d = 1 − f q.
     ///
-    /// Each coefficient enters its own order of the equation linearly, with the same factor cos q (1 − f q).
-    pub fn turn_angle(&self, value: f64) -> Self {
+    /// f = tan q / (1 + q tan q) has the derivative ḟ = q̇ / (1 + q tan q)², and 1 + q tan q = 1/d: so q̇ d² = ḟ, without a sine.
+    pub fn turn_angle(&self, value: f64) -> (Self, Self) {
         let f = self;
-        let (mut q, (sin, cos)) = (Self::constant(value), value.sin_cos());
-        let (mut s, mut c) = (Self::constant(sin), Self::constant(cos));
-        // m = cos q + q sin q, whose derivative is q cos q · q̇.
-        let mut m = Self::constant(cos + value * sin);
-        let mut q_cos = Self::constant(value * cos);
-        let slope = cos * (1.0 - f.c[0] * value);
+        let (mut q, mut d) = (Self::constant(value), Self::constant(1.0 - f.c[0] * value));
+        let mut square = Self::constant(d.c[0] * d.c[0]);
+        let share = 1.0 / square.c[0];
         for k in 1..N {
-            // What the lower orders contribute to order k of sin q, cos q, q cos q · q̇ and f m.
-            let (mut s_k, mut c_k, mut m_k) = (0.0, 0.0, 0.0);
+            let mut lower = 0.0;
             for j in 1..k {
-                let rate = j as f64 * q.c[j] / k as f64;
-                s_k += rate * c.c[k - j];
-                c_k -= rate * s.c[k - j];
-                m_k += rate * q_cos.c[k - j];
+                lower += j as f64 * q.c[j] * square.c[k - j];
             }
-            let f_m: f64 = (1..=k).map(|j| f.c[j] * m.c[k - j]).sum();
-            q.c[k] = (f_m + f.c[0] * m_k - s_k) / slope;
-            s.c[k] = s_k + cos * q.c[k];
-            c.c[k] = c_k - sin * q.c[k];
-            m.c[k] = m_k + value * cos * q.c[k];
-            q_cos.c[k] = (0..=k).map(|i| q.c[i] * c.c[k - i]).sum();
+            q.c[k] = (f.c[k] - lower / k as f64) * share;
+            let (mut product, mut cross) = (0.0, 0.0);
+            for j in 0..=k {
+                product += f.c[j] * q.c[k - j];
+            }
+            d.c[k] = -product;
+            for j in 1..k {
+                cross += d.c[j] * d.c[k - j];
+            }
+            square.c[k] = cross + 2.0 * d.c[0] * d.c[k];
         }
-        q
+        (q, d)
+    }
+
+    /// f².
+    pub fn square(&self) -> Self {
+        Self {
+            c: array::from_fn(|k| {
+                let mut half = 0.0;
+                for j in 0..k.div_ceil(2) {
+                    half += self.c[j] * self.c[k - j];
+                }
+                let middle = if k % 2 == 0 { self.c[k / 2] } else { 0.0 };
+                2.0 * half + middle * middle
+            }),
+        }
+    }
+
+    /// f^`exponent` whose value is `value`, for f > 0.
+    pub fn power(&self, exponent: f64, value: f64) -> Self {
+        let mut p = Self::constant(value);
+        let share = 1.0 / self.c[0];
+        for k in 1..N {
+            // k f₀ pₖ = Σ (α j − (k − j)) fⱼ pₖ₋ⱼ, from f ṗ = α ḟ p.
+            let mut sum = 0.0;
+            for j in 1..=k {
+                sum += ((exponent + 1.0) * j as f64 / k as f64 - 1.0) * self.c[j] * p.c[k - j];
+            }
+            p.c[k] = sum * share;
+        }
+        p
     }
 
     /// sin f of a steadily growing f: `value` now, `rate` per second.
@@ -124,16 +150,6 @@ impl<const N: usize> Jet<N> {
         }
         (s, c)
     }
-
-    /// √f, for f > 0.
-    pub fn sqrt(&self) -> Self {
-        let mut r = Self::constant(self.c[0].sqrt());
-        for k in 1..N {
-            let cross: f64 = (1..k).map(|j| r.c[j] * r.c[k - j]).sum();
-            r.c[k] = (self.c[k] - cross) / (2.0 * r.c[0]);
-        }
-        r
-    }
 }
 
 impl<const N: usize> Add for Jet<N> {
@@ -154,20 +170,17 @@ impl<const N: usize> Sub for Jet<N> {
     }
 }
 
-impl<const N: usize> Neg for Jet<N> {
-    type Output = Self;
-    fn neg(self) -> Self {
-        Self {
-            c: self.c.map(|c| -c),
-        }
-    }
-}
-
 impl<const N: usize> Mul for Jet<N> {
     type Output = Self;
     fn mul(self, other: Self) -> Self {
         Self {
-            c: array::from_fn(|k| (0..=k).map(|j| self.c[j] * other.c[k - j]).sum()),
+            c: array::from_fn(|k| {
+                let mut sum = self.c[0] * other.c[k];
+                for j in 1..=k {
+                    sum += self.c[j] * other.c[k - j];
+                }
+                sum
+            }),
         }
     }
 }
@@ -181,23 +194,11 @@ impl<const N: usize> Mul<f64> for Jet<N> {
     }
 }
 
-impl<const N: usize> Div for Jet<N> {
-    type Output = Self;
-    fn div(self, divisor: Self) -> Self {
-        let mut q = Self::constant(self.c[0] / divisor.c[0]);
-        for k in 1..N {
-            let cross: f64 = (1..=k).map(|j| divisor.c[j] * q.c[k - j]).sum();
-            q.c[k] = (self.c[k] - cross) / divisor.c[0];
-        }
-        q
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// sin² + cos², (√f)², (f / g) g and the derivative of an integral give back what they came from.
+    /// sin² + cos², (√f)², f · 1/f and the derivative of an integral give back what they came from.
     #[test]
     fn identities_hold_to_the_last_order() {
         let f = Jet::<8> {
@@ -210,8 +211,13 @@ mod tests {
         let close = |a: Jet<8>, b: Jet<8>| (0..8).all(|k| (a.c[k] - b.c[k]).abs() < 1e-14);
         assert!(close(s * s + c * c, Jet::constant(1.0)));
         assert!(close(Jet::sine(0.7, 0.3), Jet::line(0.7, 0.3).sin_cos().0));
-        assert!(close(g.sqrt() * g.sqrt(), g));
-        assert!(close((f / g) * g, f));
+        let root = g.power(0.5, g.c[0].sqrt());
+        assert!(close(root * root, g));
+        assert!(close(g.power(-1.0, 1.0 / g.c[0]) * g * f, f));
+        assert!(close(
+            g.power(-1.5, g.c[0].powf(-1.5)) * root * g,
+            Jet::constant(1.0)
+        ));
         assert!((0..7).all(|k| f.derivative::<7>().integral(0.7).c[k] == f.c[k]));
         // sin q = f (cos q + q sin q) to every order.
         let f = f * 0.3;
@@ -219,7 +225,8 @@ mod tests {
         for _ in 0..20 {
             q -= (q.sin() - f.c[0] * (q.cos() + q * q.sin())) / (q.cos() * (1.0 - f.c[0] * q));
         }
-        let q = f.turn_angle(q);
+        let (q, d) = f.turn_angle(q);
+        assert!(close(d, Jet::constant(1.0) - f * q));
         let (sin, cos) = q.sin_cos();
         assert!(close(sin, f * (cos + q * sin)));
         // (sin f)′ = cos f · f′, up to the order that the derivative loses.

@@ -114,6 +114,20 @@ impl Discretisation<5> {
         }
     }
 
+    /// As `self`, over a knot that is longer by that of `more`, which has the same lag: without another exponential.
+    pub(crate) fn longer(&self, more: &Self) -> Self {
+        // 1 − exp(−(a + b)/τ) = (1 − exp(−a/τ)) + exp(−a/τ) (1 − exp(−b/τ)): nothing cancels.
+        let gone = |part: &Self| part.mean * part.period;
+        let lag_gone = gone(self) + self.left * gone(more);
+        let period = self.period + more.period;
+        Self {
+            period,
+            left: self.left * more.left,
+            mean: lag_gone / period,
+            ..*self
+        }
+    }
+
     /// As [`Discretisation::lag`], with eq (1)'s sideways term: the state is the pose of the sphere's centre.
     pub fn centre(period: f64, radius: f64, tau: f64) -> Self {
         Self {
@@ -137,6 +151,11 @@ impl<const NX: usize> Discretisation<NX> {
     /// Δ, R, and the shares `left`, `mean` and `slide`, for the planner's fast path.
     pub(crate) fn numbers(&self) -> [f64; 5] {
         [self.period, self.radius, self.left, self.mean, self.slide()]
+    }
+
+    /// Share of v − v_c that is gone after a knot, 1 − exp(−Δ/τ), for the lag `tau` it was made with [s]; exact for a short one, too [1].
+    pub(crate) fn gone(&self, tau: f64) -> f64 {
+        self.mean * self.period / tau
     }
 
     /// Whether every number of the model is finite and makes sense: period and radius positive, lag positive.

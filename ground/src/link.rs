@@ -18,6 +18,8 @@ use sphere_protocol::time::{AgentClock, GroundClock, Instant, Span};
 pub struct Link {
     /// Arrival (agent) minus sending (station) of the last acknowledged plans [ns].
     down: VecDeque<i64>,
+    /// The same, ascending.
+    ranked: Vec<i64>,
     /// Least arrival (station) minus stamp (agent) of telemetry in each of the last [`BUCKETS`] seconds: (second, ns).
     up: VecDeque<(i64, i64)>,
     /// The least that a command's acknowledgement gives for `down` before any plan was echoed [ns]: too long by up to the time between
@@ -43,11 +45,16 @@ impl Link {
 
     /// The plan sent at `sent` arrived at `arrived`.
     pub fn on_echo(&mut self, sent: Instant<GroundClock>, arrived: Instant<AgentClock>) {
-        if self.down.len() == ECHOES {
-            self.down.pop_front();
+        if self.down.len() == ECHOES
+            && let Some(oldest) = self.down.pop_front()
+        {
+            let rank = self.ranked.partition_point(|gap| *gap < oldest);
+            self.ranked.remove(rank);
         }
-        self.down
-            .push_back(arrived.as_nanos().saturating_sub(sent.as_nanos()));
+        let gap = arrived.as_nanos().saturating_sub(sent.as_nanos());
+        self.down.push_back(gap);
+        let rank = self.ranked.partition_point(|other| *other < gap);
+        self.ranked.insert(rank, gap);
         self.halve_loop();
     }
 
@@ -63,6 +70,7 @@ impl Link {
     /// The agent was started anew: its clock may be another one, the network is still the same.
     pub fn restart(&mut self) {
         self.down.clear();
+        self.ranked.clear();
         self.up.clear();
         self.command_down = None;
     }
@@ -72,11 +80,9 @@ impl Link {
     ///
     /// Early costs a little of the feedback's freshness, because the plan waits on board for its start; late costs a jump from the plan before it.
     pub fn arrival(&self, sent: Instant<GroundClock>) -> Option<Instant<AgentClock>> {
-        let mut gaps: Vec<i64> = self.down.iter().copied().collect();
-        gaps.sort_unstable();
-        let rank = (gaps.len() * QUANTILE_PERCENT).div_ceil(100);
+        let rank = (self.ranked.len() * QUANTILE_PERCENT).div_ceil(100);
         let gap = match rank.checked_sub(1) {
-            Some(i) => gaps[i],
+            Some(i) => self.ranked[i],
             None => self.command_down?,
         };
         Some(Instant::from_nanos(sent.as_nanos().saturating_add(gap)))
@@ -100,7 +106,7 @@ impl Link {
     }
 
     fn halve_loop(&mut self) {
-        let down = self.down.iter().min().copied().or(self.command_down);
+        let down = self.ranked.first().copied().or(self.command_down);
         if let (Some(up), Some(down)) = (self.up_least(), down) {
             // A clock that drifts can make the sum of minima of different times negative; a delay cannot be.
             self.half_loop = Span::from_nanos((up.saturating_add(down) / 2).max(0));
@@ -158,6 +164,7 @@ mod tests {
         for i in 0..200 {
             link.on_echo(ground(100 * i), agent(100 * i + 50));
         }
+        assert_eq!(link.ranked.len(), ECHOES);
         for i in 200..204 {
             link.on_echo(ground(100 * i), agent(100 * i + 500));
         }

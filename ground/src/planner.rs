@@ -5,7 +5,7 @@
 //! Formulation `paper` is eq (20) as printed: eq (2), N = 10, Q = (2, 2, 1), R = (1, 1), U(0) measured, U(1) applied.
 
 use arrayvec::ArrayVec;
-use nalgebra::{SVector, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 use sphere_protocol::message::{KNOTS_MAX, PlanSource};
 use sphere_protocol::robot::Robot;
 
@@ -16,7 +16,7 @@ use crate::mpc::{
 };
 use crate::predictor::{ReferenceState, wrapped};
 use crate::settings::{KNOT, PlannerMode, PlannerSettings};
-use crate::trajectory::{Program, ReferencePoint};
+use crate::trajectory::{Program, Reference, ReferencePoint};
 
 /// Plans for one robot, each time from the last solution.
 pub struct Planner {
@@ -46,8 +46,8 @@ pub struct Job<'a> {
     pub planner: &'a mut Planner,
     /// Where the plan begins.
     pub beginning: Beginning,
-    /// The reference, a function of the time since the plan's start [s].
-    pub reference: &'a dyn Fn(f64) -> ReferencePoint,
+    /// The reference.
+    pub reference: &'a dyn Reference,
 }
 
 /// Commands, predicted states and gains of one plan, as they travel.
@@ -187,6 +187,18 @@ impl Planner {
         beginning: &Beginning,
         reference: impl Fn(f64) -> ReferencePoint,
     ) -> Result<Knots, Status> {
+        self.follow(beginning, &reference)
+    }
+
+    /// [`Planner::plan`] along a reference of any kind: a [`crate::trajectory::Along`] computes no more of each point than a plan needs.
+    ///
+    /// # Errors
+    /// As [`Planner::plan`].
+    pub fn follow(
+        &mut self,
+        beginning: &Beginning,
+        reference: &dyn Reference,
+    ) -> Result<Knots, Status> {
         self.pose(beginning, reference);
         match &mut self.formulation {
             Formulation::Lag(lag) => {
@@ -200,17 +212,17 @@ impl Planner {
     }
 
     /// Writes the problem, and moves the last solution on to its beginning.
-    fn pose(&mut self, beginning: &Beginning, reference: impl Fn(f64) -> ReferencePoint) {
-        let shift = pull_in(&beginning.x, &reference(0.0));
+    fn pose(&mut self, beginning: &Beginning, reference: &dyn Reference) {
+        let shift = pull_in(&beginning.x, &reference.state(0.0));
         let mut heading = beginning.x[2];
         let states = (1..=self.horizon).map(|i| {
-            let mut point = reference(KNOT * i as f64);
-            point.x -= shift[0];
-            point.y -= shift[1];
+            let mut state = reference.state(KNOT * i as f64);
+            state[0] -= shift[0];
+            state[1] -= shift[1];
             // Near the heading before it: a reference may be turns away from the robot's.
-            heading += wrapped(point.heading - heading);
-            point.heading = heading;
-            point
+            heading += wrapped(state[2] - heading);
+            state[2] = heading;
+            state
         });
         // A command is held over its knot: the reference in its middle.
         let commands = |first: f64| move |i: usize| KNOT * (i as f64 + first);
@@ -219,12 +231,12 @@ impl Planner {
                 let (problem, mpc) = &mut **lag;
                 problem.x0 = beginning.x;
                 let mut v_max = beginning.x[3].abs();
-                for (row, point) in problem.x_ref.iter_mut().zip(states) {
-                    *row = SVector::from([point.x, point.y, point.heading, point.v, point.q_r]);
-                    v_max = v_max.max(point.v.abs());
+                for (row, state) in problem.x_ref.iter_mut().zip(states) {
+                    *row = state.into();
+                    v_max = v_max.max(state[3].abs());
                 }
                 for (i, row) in problem.u_ref.iter_mut().enumerate() {
-                    *row = reference(commands(0.5)(i)).command(self.tau).into();
+                    *row = reference.motion(commands(0.5)(i)).command(self.tau).into();
                 }
                 problem.r = Vector2::new(1.0, roll_weight(problem.q[1], v_max, self.radius));
                 let last = self.horizon - 1;
@@ -241,13 +253,13 @@ impl Planner {
                 let (problem, mpc) = &mut **paper;
                 problem.x0 = Vector3::new(beginning.x[0], beginning.x[1], beginning.x[2]);
                 problem.u_prev = beginning.measured.into();
-                for (row, point) in problem.x_ref.iter_mut().zip(states) {
-                    *row = Vector3::new(point.x, point.y, point.heading);
+                for (row, [x, y, heading, ..]) in problem.x_ref.iter_mut().zip(states) {
+                    *row = Vector3::new(x, y, heading);
                 }
                 // Row i is U(i + 1), held from the end of knot i + 1 on.
                 for (i, row) in problem.u_ref.iter_mut().enumerate() {
-                    let point = reference(commands(1.5)(i));
-                    *row = Vector2::new(point.v, point.q_r);
+                    let motion = reference.motion(commands(1.5)(i));
+                    *row = Vector2::new(motion.v, motion.q_r);
                 }
                 mpc.shift(beginning.shift);
             }
@@ -346,8 +358,8 @@ impl PlanBatch {
 }
 
 /// By how much the whole reference is moved so that it begins no farther than [`ERROR_MAX`] from the robot [m, m].
-fn pull_in(x: &ReferenceState, reference: &ReferencePoint) -> [f64; 2] {
-    let (dx, dy) = (reference.x - x[0], reference.y - x[1]);
+fn pull_in(x: &ReferenceState, reference: &[f64; 5]) -> [f64; 2] {
+    let (dx, dy) = (reference[0] - x[0], reference[1] - x[1]);
     let distance = dx.hypot(dy);
     let share = if distance > ERROR_MAX {
         1.0 - ERROR_MAX / distance

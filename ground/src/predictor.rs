@@ -5,9 +5,10 @@
 //! too young to be acknowledged it is assumed that they arrive when most do; of the rest, that they are lost.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use nalgebra::{SVector, Vector2};
-use sphere_protocol::message::{SetpointPlan, Telemetry};
+use sphere_protocol::message::{PlanId, SetpointPlan, Telemetry};
 use sphere_protocol::robot::{Limits, Robot};
 use sphere_protocol::time::{AgentClock, GroundClock, Instant, Span};
 
@@ -30,7 +31,7 @@ pub struct Predictor {
 /// A plan on its way or on board.
 #[derive(Clone, Debug)]
 struct Sent {
-    plan: SetpointPlan,
+    plan: Arc<SetpointPlan>,
     at: Instant<GroundClock>,
     /// When it should have arrived; `None` if no echo was known when it was sent.
     arrival: Option<Instant<AgentClock>>,
@@ -58,7 +59,7 @@ impl Predictor {
     /// Remembers a plan that is sent `at`, expected to arrive at `arrival`.
     pub fn on_sent(
         &mut self,
-        plan: SetpointPlan,
+        plan: impl Into<Arc<SetpointPlan>>,
         at: Instant<GroundClock>,
         arrival: Option<Instant<AgentClock>>,
     ) {
@@ -66,7 +67,7 @@ impl Predictor {
             self.sent.pop_front();
         }
         self.sent.push_back(Sent {
-            plan,
+            plan: plan.into(),
             at,
             arrival,
             echoed: false,
@@ -110,6 +111,7 @@ impl Predictor {
         ]);
         let mut t = telemetry.stamp;
         let period = Span::from_secs_f64(CONTROL_PERIOD);
+        let mut inside: Option<Inside> = None;
         while t < until {
             let left = until.since(t);
             let (step, model) = if left >= period {
@@ -117,12 +119,27 @@ impl Predictor {
             } else {
                 (left, self.model(left.as_secs_f64()))
             };
-            let h = step.as_secs_f64();
             let (u, rate_max) = match self.in_play(telemetry, t) {
-                Some(plan) => (self.command(plan, t, &x), self.limits.slew),
+                Some(plan) => {
+                    let (i, within) = knot_of(plan, t);
+                    // A period after the one before in the same knot of the same plan.
+                    let length = match &inside {
+                        Some(last) if last.is_followed_by(plan, i, within, period) => {
+                            last.length.longer(&self.period)
+                        }
+                        _ => self.model(within.as_secs_f64()),
+                    };
+                    inside = Some(Inside {
+                        id: plan.id,
+                        knot: i,
+                        within,
+                        length,
+                    });
+                    (self.command(plan, i, within, &length, &x), self.limits.slew)
+                }
                 None => (Vector2::zeros(), self.limits.brake),
             };
-            x = model.step(&x, &self.slewed(u, &x, h, rate_max));
+            x = model.step(&x, &self.slewed(u, &x, &model, rate_max));
             t += step;
         }
         x
@@ -138,25 +155,21 @@ impl Predictor {
         (t < sent.plan.ends()).then_some(&sent.plan)
     }
 
-    /// The command at `t`: uᵢ + Kᵢ (x − xᵢ) within the limits (v_c [m/s], q_c [rad]).
+    /// The command `within` knot `i`, where `length` is that of the knot so far: uᵢ + Kᵢ (x − xᵢ) within the limits (v_c [m/s], q_c [rad]).
     fn command(
         &self,
         plan: &SetpointPlan,
-        t: Instant<AgentClock>,
+        i: usize,
+        within: Span,
+        length: &Discretisation<5>,
         x: &ReferenceState,
     ) -> Vector2<f64> {
-        let period = plan.period.as_nanos().max(1);
-        let since = t.since(plan.start).as_nanos().max(0);
-        let i = usize::try_from(since / period)
-            .unwrap_or(usize::MAX)
-            .min(plan.u.len() - 1);
         let mut u = Vector2::from(plan.u[i].map(f64::from));
         if let Some(k) = plan.k.get(i) {
             // The planned state inside the knot, by the planner's own discretisation.
-            let within = Span::from_nanos(since - i as i64 * period).as_secs_f64();
             let mut planned = ReferenceState::from(plan.x[i].map(f64::from));
-            if within > 0.0 {
-                planned = self.model(within).step(&planned, &u);
+            if within > Span::ZERO {
+                planned = length.step(&planned, &u);
             }
             let mut error = x - planned;
             error[2] = wrapped(error[2]);
@@ -176,9 +189,15 @@ impl Predictor {
         Vector2::new(v, u[1].clamp(-q_max, q_max))
     }
 
-    /// The command with which the lag of the model moves v_d by no more than `rate_max` [m/s²] in `h` [s]: the clamp on board.
-    fn slewed(&self, u: Vector2<f64>, x: &ReferenceState, h: f64, rate_max: f64) -> Vector2<f64> {
-        let share = -(-h / self.limits.reference_lag).exp_m1();
+    /// The command with which the lag of `model` moves v_d by no more than `rate_max` [m/s²] over its period: the clamp on board.
+    fn slewed(
+        &self,
+        u: Vector2<f64>,
+        x: &ReferenceState,
+        model: &Discretisation<5>,
+        rate_max: f64,
+    ) -> Vector2<f64> {
+        let (h, share) = (model.period(), model.gone(self.limits.reference_lag));
         let step = ((u[0] - x[3]) * share).clamp(-rate_max * h, rate_max * h);
         Vector2::new(x[3] + step / share, u[1])
     }
@@ -186,6 +205,36 @@ impl Predictor {
     fn model(&self, h: f64) -> Discretisation<5> {
         Discretisation::centre(h, self.radius, self.limits.reference_lag)
     }
+}
+
+/// Where in a plan the last command was taken.
+struct Inside {
+    id: PlanId,
+    knot: usize,
+    within: Span,
+    /// From the knot's beginning to there.
+    length: Discretisation<5>,
+}
+
+impl Inside {
+    /// Whether `within` knot `knot` of `plan` is one `period` later.
+    fn is_followed_by(&self, plan: &SetpointPlan, knot: usize, within: Span, period: Span) -> bool {
+        // Without a length there is nothing to make longer.
+        self.within > Span::ZERO
+            && self.id == plan.id
+            && self.knot == knot
+            && within.as_nanos() - self.within.as_nanos() == period.as_nanos()
+    }
+}
+
+/// The knot of `plan` that is played at `t`, and the time since its beginning.
+fn knot_of(plan: &SetpointPlan, t: Instant<AgentClock>) -> (usize, Span) {
+    let period = plan.period.as_nanos().max(1);
+    let since = t.since(plan.start).as_nanos().max(0);
+    let i = usize::try_from(since / period)
+        .unwrap_or(usize::MAX)
+        .min(plan.u.len() - 1);
+    (i, Span::from_nanos(since - i as i64 * period))
 }
 
 impl Sent {

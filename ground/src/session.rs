@@ -6,6 +6,7 @@ mod job;
 mod lease;
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use sphere_protocol::message::{
     CommandOrder, DropReason, Mode, PlanId, PlanSource, SetpointPlan, Status, Telemetry,
@@ -36,7 +37,7 @@ pub(crate) enum Request {
         order: CommandOrder,
     },
     /// A plan.
-    Plan(Box<SetpointPlan>),
+    Plan(Arc<SetpointPlan>),
     /// Something to tell.
     Event(Event),
 }
@@ -94,7 +95,7 @@ struct Life {
     boot_id: u64,
     telemetry: Telemetry,
     received: Instant<GroundClock>,
-    last_plan: Option<SetpointPlan>,
+    last_plan: Option<Arc<SetpointPlan>>,
 }
 
 impl Session {
@@ -125,7 +126,7 @@ impl Session {
 
     /// The newest plan sent in this life of the agent.
     pub fn last_plan(&self) -> Option<&SetpointPlan> {
-        self.life.as_ref()?.last_plan.as_ref()
+        self.life.as_ref()?.last_plan.as_deref()
     }
 
     /// Mission and progress.
@@ -369,8 +370,9 @@ impl Session {
             Effort::Shift => counters.shed += 1,
         }
         let arrival = self.link.arrival(now);
-        self.predictor.on_sent(plan.clone(), now, arrival);
-        out.push(Request::Plan(Box::new(plan.clone())));
+        let plan = Arc::new(plan);
+        self.predictor.on_sent(Arc::clone(&plan), now, arrival);
+        out.push(Request::Plan(Arc::clone(&plan)));
         if let Some(life) = &mut self.life {
             life.last_plan = Some(plan);
         }
@@ -429,7 +431,7 @@ impl Session {
             (_, Some(last)) => Some(SetpointPlan {
                 id,
                 source: PlanSource::Shifted,
-                ..last.clone()
+                ..SetpointPlan::clone(last)
             }),
             (Some(knots), None) => self.stamped(knots, start, id),
             (None, None) => None,

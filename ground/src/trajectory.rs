@@ -13,7 +13,7 @@ mod waypoints;
 use sphere_protocol::robot::Robot;
 
 use crate::jet::Jet;
-use flat::{ORDERS, along_centre};
+use flat::{along_centre, motion_along_centre, state_along_centre};
 pub use mission::{Mission, MissionError};
 pub use program::{Program, Step};
 pub use waypoints::Waypoints;
@@ -30,7 +30,7 @@ pub struct Pose {
 }
 
 /// The reference at one time: the pose of the centre and what the robot does there.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct ReferencePoint {
     /// World X of the centre [m].
     pub x: f64,
@@ -46,6 +46,64 @@ pub struct ReferencePoint {
     pub v_rate: f64,
     /// q̇_r [rad/s].
     pub q_r_rate: f64,
+}
+
+/// What the robot does at one time of a reference, wherever it is.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct Motion {
+    /// Speed v [m/s].
+    pub v: f64,
+    /// Roll q_r [rad].
+    pub q_r: f64,
+    /// v̇ [m/s²].
+    pub v_rate: f64,
+    /// q̇_r [rad/s].
+    pub q_r_rate: f64,
+}
+
+/// What a plan follows, a function of the time since the plan's start [s]. A closure is one.
+pub trait Reference {
+    /// All of it at `t` [s].
+    fn point(&self, t: f64) -> ReferencePoint;
+
+    /// Pose, speed and roll: x, y [m], heading [rad], v [m/s], q_r [rad]; those of [`Reference::point`].
+    fn state(&self, t: f64) -> [f64; 5] {
+        self.point(t).state()
+    }
+
+    /// Speed, roll and their rates; those of [`Reference::point`].
+    fn motion(&self, t: f64) -> Motion {
+        self.point(t).motion()
+    }
+}
+
+impl<F: Fn(f64) -> ReferencePoint> Reference for F {
+    fn point(&self, t: f64) -> ReferencePoint {
+        self(t)
+    }
+}
+
+/// A trajectory from some time of its mission on.
+#[derive(Clone, Copy, Debug)]
+pub struct Along<'a> {
+    /// The mission's.
+    pub trajectory: &'a Trajectory,
+    /// Time of the mission when the plan begins [s].
+    pub from: f64,
+}
+
+impl Reference for Along<'_> {
+    fn point(&self, t: f64) -> ReferencePoint {
+        self.trajectory.reference(self.from + t)
+    }
+
+    fn state(&self, t: f64) -> [f64; 5] {
+        self.trajectory.state(self.from + t)
+    }
+
+    fn motion(&self, t: f64) -> Motion {
+        self.trajectory.motion(self.from + t)
+    }
 }
 
 /// A mission made ready for one robot: a function of time.
@@ -189,7 +247,7 @@ impl Trajectory {
             // The tangent swings between 45° and −225°: the paper's formula for it is 0/0 at cos(t/16) = 0 and jumps (E16).
             Self::Lemniscate { r } => {
                 let (x, y) = self.path(t);
-                along_centre(x, y, *r, -core::f64::consts::FRAC_PI_2)
+                along_centre(x, y, *r, LEMNISCATE_BRANCH)
             }
             Self::Circle { radius, speed, q_r } => {
                 let angle = speed / radius * t;
@@ -217,6 +275,41 @@ impl Trajectory {
         }
     }
 
+    /// Pose, speed and roll of [`Self::reference`], the same bits: x, y [m], heading [rad], v [m/s], q_r [rad].
+    ///
+    /// A series without the orders that the rates need costs less.
+    pub fn state(&self, t: f64) -> [f64; 5] {
+        match self {
+            Self::Sine { r } => {
+                let (x, y) = self.path(t);
+                state_along_centre(x, y, *r, 0.0)
+            }
+            Self::Lemniscate { r } => {
+                let (x, y) = self.path(t);
+                state_along_centre(x, y, *r, LEMNISCATE_BRANCH)
+            }
+            Self::Waypoints(waypoints) => waypoints.state(t),
+            _ => self.reference(t).state(),
+        }
+    }
+
+    /// Speed, roll and their rates of [`Self::reference`], the same bits: what commands are made of.
+    pub fn motion(&self, t: f64) -> Motion {
+        match self {
+            Self::Sine { r } | Self::Lemniscate { r } => {
+                let (x, y) = self.path(t);
+                motion_along_centre(x, y, *r)
+            }
+            Self::Circle { speed, q_r, .. } => Motion {
+                v: *speed,
+                q_r: *q_r,
+                ..Motion::default()
+            },
+            Self::Waypoints(waypoints) => waypoints.motion(t),
+            _ => self.reference(t).motion(),
+        }
+    }
+
     /// The typed commands, if that is what it is: then the pose of its reference means nothing.
     pub fn program(&self) -> Option<&Program> {
         match self {
@@ -230,7 +323,7 @@ impl Trajectory {
     pub fn nominal(&self, t: f64) -> [f64; 2] {
         match self {
             Self::Sine { .. } | Self::Lemniscate { .. } => {
-                let (x, y) = self.path(t);
+                let (x, y) = self.path::<2>(t);
                 [x.value(), y.value()]
             }
             _ => {
@@ -251,7 +344,7 @@ impl Trajectory {
     }
 
     /// The centre's path with its derivatives (sine and lemniscate) [m].
-    fn path(&self, t: f64) -> (Jet<ORDERS>, Jet<ORDERS>) {
+    fn path<const N: usize>(&self, t: f64) -> (Jet<N>, Jet<N>) {
         let sine = |amplitude: f64, rate: f64| Jet::sine(rate * t, rate) * amplitude;
         match self {
             Self::Lemniscate { .. } => (sine(8.0, 1.0 / 16.0), sine(4.0, 1.0 / 8.0)),
@@ -274,8 +367,59 @@ impl ReferencePoint {
         }
     }
 
+    /// The commands (v_c [m/s], q_c [rad]) that make a robot with reference lag `tau` [s] follow: see [`Motion::command`].
+    pub fn command(&self, tau: f64) -> [f64; 2] {
+        self.motion().command(tau)
+    }
+
+    /// x, y [m], heading [rad], v [m/s], q_r [rad].
+    pub fn state(&self) -> [f64; 5] {
+        [self.x, self.y, self.heading, self.v, self.q_r]
+    }
+
+    /// What the robot does there.
+    pub fn motion(&self) -> Motion {
+        Motion {
+            v: self.v,
+            q_r: self.q_r,
+            v_rate: self.v_rate,
+            q_r_rate: self.q_r_rate,
+        }
+    }
+
+    /// At the same pose with another motion.
+    fn moving(self, motion: Motion) -> Self {
+        let Motion {
+            v,
+            q_r,
+            v_rate,
+            q_r_rate,
+        } = motion;
+        Self {
+            v,
+            q_r,
+            v_rate,
+            q_r_rate,
+            ..self
+        }
+    }
+}
+
+impl Motion {
     /// The commands (v_c [m/s], q_c [rad]) that make a robot with reference lag `tau` [s] follow: u = ref + τ · derivative.
     pub fn command(&self, tau: f64) -> [f64; 2] {
         [self.v + tau * self.v_rate, self.q_r + tau * self.q_r_rate]
     }
+
+    fn of(v: Jet<2>, q_r: Jet<2>) -> Self {
+        Self {
+            v: v.value(),
+            q_r: q_r.value(),
+            v_rate: v.rate(),
+            q_r_rate: q_r.rate(),
+        }
+    }
 }
+
+/// Within π of it the lemniscate's tangent swings [rad].
+const LEMNISCATE_BRANCH: f64 = -core::f64::consts::FRAC_PI_2;

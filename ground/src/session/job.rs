@@ -10,7 +10,7 @@ use crate::mpc;
 use crate::planner::{Beginning, Job as Tick, Knots, PlanBatch, Planner};
 use crate::predictor::{Ends, ReferenceState};
 use crate::settings::{Compensation, KNOT, PlannerMode};
-use crate::trajectory::ReferencePoint;
+use crate::trajectory::Along;
 use crate::workload::{Effort, Need};
 
 /// One robot's plan that is to be computed.
@@ -82,14 +82,7 @@ impl<'a> Job<'a> {
     }
 
     /// What a batch needs of it; nothing if nothing is to be solved: typed commands are written at once.
-    fn part(
-        &mut self,
-    ) -> Option<(
-        &mut Planner,
-        Beginning,
-        impl Fn(f64) -> ReferencePoint,
-        &mut Option<Knots>,
-    )> {
+    fn part(&mut self) -> Option<(&mut Planner, Beginning, Along<'_>, &mut Option<Knots>)> {
         let effort = match self.effort {
             Effort::Shift => return None,
             Effort::RealTime => mpc::Effort::RealTime,
@@ -104,8 +97,11 @@ impl<'a> Job<'a> {
             return None;
         }
         planner.set_effort(effort);
-        let reference = move |t| trajectory.reference(mission_time + t);
-        Some((planner, beginning, reference, &mut self.knots))
+        let along = Along {
+            trajectory,
+            from: mission_time,
+        };
+        Some((planner, beginning, along, &mut self.knots))
     }
 
     /// What came of it.

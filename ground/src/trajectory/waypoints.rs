@@ -9,9 +9,9 @@ use core::f64::consts::{PI, TAU};
 
 use sphere_protocol::robot::Robot;
 
-use super::flat::{at_point, curvature_of_roll};
+use super::flat::{curvature_of_roll, roll_of_turn};
 use super::mission::MissionError;
-use super::{Pose, ReferencePoint};
+use super::{Motion, Pose, ReferencePoint};
 use crate::jet::Jet;
 
 /// A way through points, ready for one robot.
@@ -84,20 +84,48 @@ impl Waypoints {
 
     /// The reference `t` seconds after the start; at rest before and after.
     pub fn reference(&self, t: f64) -> ReferencePoint {
+        let [x, y, heading, ..] = self.state(t);
+        let there = ReferencePoint {
+            x,
+            y,
+            heading,
+            ..ReferencePoint::default()
+        };
+        there.moving(self.motion(t))
+    }
+
+    /// Its pose, speed and roll alone: x, y [m], heading [rad], v [m/s], q_r [rad].
+    pub fn state(&self, t: f64) -> [f64; 5] {
+        let (s, w, _) = self.progress(t);
+        let (piece, sigma) = self.piece(s);
+        let pose = piece.pose(sigma);
+        let (q_r, d) = roll_of_turn(Jet::<1>::constant(self.r * piece.curvature(sigma).0));
+        // C = P + R q_r n.
+        let (side, (sin, cos)) = (self.r * q_r.value(), pose.heading.sin_cos());
+        [
+            pose.x - side * sin,
+            pose.y + side * cos,
+            pose.heading,
+            w * d.value(),
+            q_r.value(),
+        ]
+    }
+
+    /// Its speed and roll with their rates alone.
+    pub fn motion(&self, t: f64) -> Motion {
         let (s, w, w_rate) = self.progress(t);
+        let (piece, sigma) = self.piece(s);
+        let (curvature, slope) = piece.curvature(sigma);
+        let turn = Jet::<2>::line(self.r * curvature, self.r * slope * w);
+        let (q_r, d) = roll_of_turn(turn);
+        Motion::of(Jet::line(w, w_rate) * d, q_r)
+    }
+
+    /// The piece on which the way is `s` [m], and how far on it [m].
+    fn piece(&self, s: f64) -> (&Piece, f64) {
         let i = self.pieces.partition_point(|piece| piece.from <= s);
         let piece = &self.pieces[i.saturating_sub(1)];
-        let sigma = (s - piece.from).clamp(0.0, piece.length);
-        let pose = piece.pose(sigma);
-        let (curvature, slope) = piece.curvature(sigma);
-        at_point(
-            pose.x,
-            pose.y,
-            pose.heading,
-            Jet::line(w, w_rate),
-            Jet::line(self.r * curvature, self.r * slope * w),
-            self.r,
-        )
+        (piece, (s - piece.from).clamp(0.0, piece.length))
     }
 
     /// Way done [m], speed [m/s] and acceleration [m/s²] at `t`: smooth ramps w = v (3u² − 2u³), u = t / ramp time, at both ends.
@@ -144,6 +172,9 @@ impl Piece {
 
     fn heading(&self, sigma: f64) -> f64 {
         let [begin, end] = self.curvature;
+        if begin == end {
+            return self.heading + begin * sigma;
+        }
         let wave = self.length / PI;
         self.heading + begin * sigma + 0.5 * (end - begin) * (sigma - wave * (sigma / wave).sin())
     }
@@ -151,6 +182,9 @@ impl Piece {
     /// κ [1/m] and dκ/dσ [1/m²].
     fn curvature(&self, sigma: f64) -> (f64, f64) {
         let [begin, end] = self.curvature;
+        if begin == end {
+            return (begin, 0.0);
+        }
         let rate = PI / self.length;
         let (sin, cos) = (rate * sigma).sin_cos();
         let half = 0.5 * (end - begin);
@@ -178,6 +212,13 @@ impl Piece {
         if self.curvature == [0.0; 2] {
             let (sin, cos) = self.heading.sin_cos();
             return [at[0] + length * cos, at[1] + length * sin];
+        }
+        if self.curvature[0] == self.curvature[1] {
+            // The chord of the arc: twice the radius by the sine of half the turn.
+            let half = 0.5 * self.curvature[0] * length;
+            let chord = 2.0 * half.sin() / self.curvature[0];
+            let (sin, cos) = self.heading(sigma + 0.5 * length).sin_cos();
+            return [at[0] + chord * cos, at[1] + chord * sin];
         }
         let (middle, half) = (sigma + 0.5 * length, 0.5 * length);
         let mut sum = [0.0; 2];
