@@ -280,7 +280,7 @@ fn a_fault_without_a_cause_is_seen() {
 /// Frames that wait for an agent that stands still are too old when it wakes: that is a cause.
 #[test]
 fn a_fault_after_a_freeze_has_a_cause() {
-    let freeze = "faults=[{kind='freeze',at_s=15.0,for_s=0.5,robots=['r1']}]";
+    let freeze = "faults=[{kind='freeze',at_s=15.0,for_s=3.0,robots=['r1']}]";
     let mut world = world(&[freeze]);
     world.run_until(at(30.0));
     assert_eq!(world.agent(0).mode(), Mode::Fault);
