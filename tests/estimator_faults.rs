@@ -7,7 +7,7 @@ mod errors;
 mod motion;
 
 use errors::{Errors, estimator, feed, position_error};
-use motion::{DEGREE, Event, Sensing, changed, events, usual};
+use motion::{DEGREE, Event, Jet, Sensing, changed, events, usual};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sphere_agent::estimator::{Estimator, EstimatorConfig};
@@ -370,6 +370,44 @@ fn steady_motion_without_noise_is_no_stuck_sensor() {
     let c = estimator.counters();
     assert_eq!((c.gyro_unusable, c.accel_unusable), (0, 0));
     assert!(!estimator.at_rest());
+}
+
+/// The pitch motor at its limit, to and fro: the frame swings with up to 55 rad/s², and no sensor is to blame for it. Found by the soak: a
+/// robot whose speed command jumped, upright and sound, took its gyro for broken and gave up.
+#[test]
+fn full_torque_is_no_broken_sensor() {
+    let jerked = |t: f64| {
+        let mut angles = motion::lemniscate(t);
+        for k in 0..4 {
+            let from = 10.0 + f64::from(k);
+            let size = [0.55, -0.6, 0.5, -0.45][k as usize];
+            angles.alpha = angles.alpha.plus(Jet::rise(t, from, 0.25).scaled(size));
+        }
+        angles
+    };
+    for seed in 0..5 {
+        let mut estimator = estimator(EstimatorConfig::default());
+        let mut error_max = 0.0_f64;
+        for event in events(jerked, &Sensing::usual(seed), 20.0) {
+            feed_any(&mut estimator, &event);
+            if let Event::Frame(_, truth) = event
+                && truth.t > 5.0
+            {
+                let health = estimator.sensor_health();
+                assert!(
+                    health.gyro && health.accel && health.encoders,
+                    "seed {seed}: {} s, {health:?}",
+                    truth.t
+                );
+                error_max = error_max.max((estimator.state().alpha - truth.state.alpha).abs());
+            }
+        }
+        let c = estimator.counters();
+        println!("seed {seed}: α off by {:.3}°, {c:?}", error_max / DEGREE);
+        assert_eq!((c.gyro_rejected, c.encoder_rejected), (0, 0), "seed {seed}");
+        // The gyro's noise and the lean's share of the accelerometer's bias.
+        assert!(error_max < 0.5 * DEGREE, "seed {seed}");
+    }
 }
 
 #[test]

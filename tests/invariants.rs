@@ -7,7 +7,7 @@ use sphere_protocol::key::Key;
 use sphere_protocol::mavlink::{
     AGENT, BOARD, Event, FrameReader, FrameWriter, Framing, TorqueCommand,
 };
-use sphere_protocol::message::{Command, CommandOrder, SetpointPlan};
+use sphere_protocol::message::{Command, CommandOrder, Mode, SetpointPlan};
 use sphere_protocol::robot::RobotId;
 use sphere_protocol::time::Span;
 use sphere_protocol::wire::{self, Buffer, Wire};
@@ -260,6 +260,31 @@ fn a_robot_that_falls_and_one_that_is_thrown_are_seen() {
         let rules = broken(world(&[&push]));
         assert!(rules.contains(rule), "{rule}: {rules:?}");
     }
+}
+
+/// Frames of a motor board that do not arrive, though no fault of the scenario says so; and a robot that is pushed over.
+#[test]
+fn a_fault_without_a_cause_is_seen() {
+    let mut silent = world(&[]);
+    silent.tamper_with_motor_links(Box::new(|t, robot, way, bytes| {
+        if robot == 0 && way == MotorWay::ToAgent && t > at(15.0) && t < at(15.3) {
+            bytes.clear();
+        }
+    }));
+    assert_eq!(broken(silent), set(&["fault-has-a-cause"]));
+    let push = "robots.0.disturbance.pushes=[{at_s=15.0,for_s=1.0,roll_nm=300.0}]";
+    let rules = broken(world(&[push]));
+    assert!(rules.contains("fault-has-a-cause"), "{rules:?}");
+}
+
+/// Frames that wait for an agent that stands still are too old when it wakes: that is a cause.
+#[test]
+fn a_fault_after_a_freeze_has_a_cause() {
+    let freeze = "faults=[{kind='freeze',at_s=15.0,for_s=3.0,robots=['r1']}]";
+    let mut world = world(&[freeze]);
+    world.run_until(at(30.0));
+    assert_eq!(world.agent(0).mode(), Mode::Fault);
+    assert_eq!(world.violations("again"), []);
 }
 
 #[test]

@@ -119,6 +119,9 @@ fn what_was_found_stays_mended() {
         ("seed-48", include_str!("soak/seed-48.toml")),
         // A robot without its agent rolled on its side, where the plant's equations end: its state was no number any more.
         ("seed-10", include_str!("soak/seed-10.toml")),
+        // Old plans in a burst, a speed command that jumps, full torque: the frame swung faster than the estimator thought possible, the
+        // gyro passed for broken, and an upright robot gave up.
+        ("seed-1", include_str!("soak/seed-1.toml")),
     ] {
         let found = soak::broken(&read(text), false);
         assert_eq!(found, [], "{name}");

@@ -25,6 +25,7 @@ use sphere_protocol::robot::RobotParams;
 use sphere_protocol::state::{Measurement, PositionFix, RobotState};
 use sphere_protocol::time::{BoardClock, Instant};
 
+use crate::model::NominalModel;
 use alignment::Alignment;
 use filter::{
     ALPHA, ALPHA_RATE, Body, Channel, Filter, FixAt, GYRO_BIAS, HEADING, Q_R, Q_R_RATE, Step, V, X,
@@ -69,12 +70,13 @@ struct Running {
 }
 
 impl Estimator {
-    /// An estimator for a robot with these parameters (radius and gravity are used) that starts as `config` says.
+    /// An estimator for a robot with these parameters (radius, gravity and how fast its frame can swing are used) that starts as `config` says.
     pub fn new(params: &RobotParams, config: EstimatorConfig) -> Self {
         Self {
             body: Body {
                 radius: params.r,
                 gravity: params.g,
+                swing_accel_max: SWING_ACCEL_MARGIN * NominalModel::new(params).pitch_accel_max(),
             },
             config,
             running: None,
@@ -502,6 +504,8 @@ fn larger_axis(p: &Matrix2<f64>) -> f64 {
     (mean + spread).max(0.0).sqrt()
 }
 
+/// Of the largest acceleration of the swing, for what the robot's parameters are off and both motors do together [1].
+const SWING_ACCEL_MARGIN: f64 = 1.5;
 /// Longest gap between frames that the prediction crosses [s].
 const OUTAGE: f64 = 0.5;
 /// Frames in a row after which another stretch of time is believed.

@@ -92,6 +92,12 @@ impl NominalModel {
         }
     }
 
+    /// Largest |α̈| that full torque and the whole weight give together, from the vertical and at rest: b₁ τ_max + d_p m g l/(a_p d_p − c²) [rad/s²].
+    pub fn pitch_accel_max(&self) -> f64 {
+        let free = self.pitch_inertia(0.0).submodel([-self.righting, 0.0]);
+        free.accelerations(self.params.torque_max)[0]
+    }
+
     /// Rows (β, q_r) of N, eq (6) as corrected [N·m]:
     ///
     /// N₃ = m g l cos α sin β + ζ(β̇ + q̇_r) + (m l/R) v² tan q_r cos β

@@ -14,12 +14,14 @@
 //! | `tracking-has-a-plan`, `plan-is-valid` | a control step in tracking plays a plan between its start and its end | `plan.rs` |
 //! | `plan-from-station` | a plan in play is, number by number, one that the station made | `plan.rs` |
 //! | `plan-of-this-life`, `plans-never-go-back` | a plan in play was made for this boot and from this life's telemetry, and is newer than the ones before | `plan.rs` |
+//! | `fault-has-a-cause` | an agent that has not stood still latches no fault, and none for its roll or swing where it has had control for 2 s | `fault.rs` |
 //! | `holding-rests` | holding comes to rest in time | `rest.rs` |
 //! | `tracking-resumes` | when what went wrong is over, tracking is back in time | `resume.rs` |
 //! | `faults-stay-confined` | a fault of one robot changes no bit of another's rows | `confined.rs` |
 
 mod confined;
 mod control;
+mod fault;
 mod plan;
 mod reference;
 mod rest;
@@ -30,6 +32,7 @@ mod torque;
 use std::collections::{BTreeMap, BTreeSet};
 
 use sphere_agent::agent::Agent;
+use sphere_agent::mode::Reason;
 use sphere_protocol::message::SetpointPlan;
 use sphere_protocol::robot::{Limits, RobotId};
 use sphere_protocol::time::{AgentClock, Instant, Span};
@@ -39,6 +42,7 @@ use crate::scenario::{RobotSetup, Scenario};
 use crate::trace::{Row, Trace};
 pub use confined::strayed;
 use control::Control;
+use fault::Fault;
 use plan::Plans;
 use reference::Reference;
 use rest::Rest;
@@ -96,6 +100,8 @@ pub struct Monitor {
 pub struct Circumstances {
     /// Whether the robot's agent runs.
     pub agent_runs: bool,
+    /// Why the agent is in its mode.
+    pub reason: Reason,
     /// Whether the station runs.
     pub station_runs: bool,
     /// Whether the station has a mission under way for it.
@@ -109,6 +115,7 @@ struct Watch {
     bounds: Bounds,
     before: Option<Row>,
     control: Control,
+    fault: Fault,
     torque: TorqueFrames,
     reference: Reference,
     plans: Plans,
@@ -131,6 +138,7 @@ impl Monitor {
             bounds: Bounds::new(setup, scenario.planner.max_age),
             before: None,
             control: Control::default(),
+            fault: Fault::default(),
             torque: TorqueFrames::new(),
             reference: Reference::default(),
             plans: Plans::new(boot_id),
@@ -188,6 +196,8 @@ impl Monitor {
     pub fn on_row(&mut self, robot: usize, row: &Row, around: &Circumstances) {
         let watch = &mut self.robots[robot];
         let mut broken = |rule| self.breaches.add(row.t, robot, watch.id, rule);
+        let was_controlled = watch.control.is_sound();
+        watch.fault.on_row(row, around, was_controlled, &mut broken);
         let is_controlled = watch.control.on_row(row, around);
         row::broken(row, watch.before.as_ref(), &watch.bounds)
             .filter(|rule| is_controlled || !row::NEED_CONTROL.contains(rule))
@@ -195,6 +205,12 @@ impl Monitor {
         watch.rest.on_row(row, around, &watch.bounds, &mut broken);
         watch.resume.on_row(row, around, &mut broken);
         watch.before = Some(*row);
+    }
+
+    /// The longest that holding has taken to come to rest, beyond the time of braking.
+    pub fn longest_rest(&self) -> Span {
+        let each = self.robots.iter().map(|watch| watch.rest.longest());
+        each.max().unwrap_or(Span::ZERO)
     }
 
     /// The first breach of each rule by each robot, in the order of time.

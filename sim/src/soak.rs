@@ -9,6 +9,7 @@ use std::num::NonZero;
 use std::ops::Range;
 
 use sphere_protocol::robot::RobotId;
+use sphere_protocol::time::Span;
 
 use crate::check;
 use crate::ensemble;
@@ -30,6 +31,8 @@ pub struct Outcome {
     pub features: Vec<bool>,
     /// Virtual time [s] times robots.
     pub robot_seconds: f64,
+    /// The longest that holding took to come to rest, beyond the time of braking [s].
+    pub rest_s: f64,
     /// What broke.
     pub violations: Vec<Violation>,
 }
@@ -43,11 +46,12 @@ pub fn run(seeds: Range<u64>, threads: NonZero<usize>, done: impl FnMut(usize)) 
 /// Draws the scenario of `seed`, runs it and says what broke.
 pub fn examine(seed: u64) -> Outcome {
     let scenario = draw(seed);
-    let violations = broken(&scenario, seed.is_multiple_of(TWINS_EVERY));
+    let (violations, rest) = watch(&scenario, seed.is_multiple_of(TWINS_EVERY));
     Outcome {
         seed,
         features: FEATURES.iter().map(|(_, has)| has(&scenario)).collect(),
         robot_seconds: scenario.duration_s * scenario.robots.len() as f64,
+        rest_s: rest.as_secs_f64(),
         violations: violations
             .into_iter()
             .map(|violation| Violation {
@@ -61,6 +65,11 @@ pub fn examine(seed: u64) -> Outcome {
 /// What breaks in a run of `scenario`; `with_twin` runs it a second time without the faults that are one robot's alone, if there
 /// are any, and compares the others.
 pub fn broken(scenario: &Scenario, with_twin: bool) -> Vec<Violation> {
+    watch(scenario, with_twin).0
+}
+
+/// The same, and the longest rest.
+fn watch(scenario: &Scenario, with_twin: bool) -> (Vec<Violation>, Span) {
     let stable = "the gains of the embedded robot are stable";
     let world = |scenario: &Scenario| {
         let mut world = World::new(scenario).expect(stable);
@@ -74,7 +83,7 @@ pub fn broken(scenario: &Scenario, with_twin: bool) -> Vec<Violation> {
         let strayed = check::strayed(run.trace(), twin.trace(), faulty);
         violations.extend(strayed.iter().map(|breach| breach.violation("")));
     }
-    violations
+    (violations, run.longest_rest())
 }
 
 /// The first robot that has faults of its own alone, and `scenario` without these.

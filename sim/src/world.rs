@@ -273,6 +273,11 @@ impl World {
         breaches.map(|breach| breach.violation(replay)).collect()
     }
 
+    /// The longest that a holding robot has taken to come to rest, beyond the time of braking.
+    pub fn longest_rest(&self) -> Span {
+        self.monitor.longest_rest()
+    }
+
     /// What is left of the world when its time is over.
     pub fn into_parts(self) -> (Trace, Vec<Report>) {
         (self.trace, self.reports)
@@ -603,6 +608,7 @@ impl World {
             };
             let around = Circumstances {
                 agent_runs: cell.process.is_running(),
+                reason: cell.agent.reason(),
                 station_runs: self.station_process.is_running(),
                 on_mission: session.is_some_and(|session| session.task().is_under_way()),
                 packets: [&cell.up, &cell.down].map(|link| (link.sent, link.lost)),

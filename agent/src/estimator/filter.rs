@@ -78,6 +78,8 @@ pub(super) struct Body {
     pub(super) radius: f64,
     /// Gravity, g [m/s²].
     pub(super) gravity: f64,
+    /// Largest acceleration of the swing α that the motor and the pendulum's weight can give [rad/s²].
+    pub(super) swing_accel_max: f64,
 }
 
 /// State and covariance at the stamp of one frame.
@@ -286,7 +288,10 @@ impl Filter {
                 (PIVOT, -t.sin_r),
                 (GYRO_BIAS + 1, 1.0),
             ];
-            correction.gated(Channel::GyroLeft, &h, gyro[1] - left, noise);
+            let residual = gyro[1] - left;
+            let reach = body.swing_accel_max * step.dt;
+            correction.admit_swing(&h, residual, noise, step.dt, reach);
+            correction.gated(Channel::GyroLeft, &h, residual, noise);
 
             let up = q_r_rate * t.sin_a + yaw_up * t.cos_a + x[GYRO_BIAS + 2];
             let h = [

@@ -14,6 +14,11 @@ pub(super) struct Control {
 }
 
 impl Control {
+    /// Whether the last row showed a robot under control of an agent that has had the time to take it over.
+    pub(super) fn is_sound(&self) -> bool {
+        self.armed_rows > 0 && self.lost_at.is_none()
+    }
+
     /// Whether what `row` shows is its agent's doing.
     pub(super) fn on_row(&mut self, row: &Row, around: &Circumstances) -> bool {
         let is_armed = matches!(

@@ -16,6 +16,7 @@ pub(super) struct Rest {
     due: Option<Span>,
     still_since: Option<Span>,
     was_holding: bool,
+    longest: Span,
 }
 
 impl Rest {
@@ -31,6 +32,7 @@ impl Rest {
             due: None,
             still_since: None,
             was_holding: false,
+            longest: Span::ZERO,
         }
     }
 
@@ -58,15 +60,20 @@ impl Rest {
         }
         self.was_holding = holds;
         let Some(due) = self.due else { return };
-        if self
-            .still_since
-            .is_some_and(|since| row.t - since >= REST_TIME)
-        {
+        let is_still = |since| row.t - since >= REST_TIME;
+        if self.still_since.is_some_and(is_still) {
             self.due = None;
+            self.longest = self.longest.max(row.t - due + MARGIN);
         } else if row.t > due {
             self.due = None;
+            self.longest = self.longest.max(MARGIN);
             broken("holding-rests");
         }
+    }
+
+    /// The longest that it has taken beyond the time of braking.
+    pub(super) fn longest(&self) -> Span {
+        self.longest
     }
 
     fn is_pushed(&self, now: Span) -> bool {

@@ -62,9 +62,9 @@ const RULES: &[Rule] = &[
 /// Rules that bind whoever controls the robot.
 pub(super) const NEED_CONTROL: [&str; 2] = ["upright", "speed-limit"];
 
-/// Beyond these the robot has fallen over [rad].
+/// Beyond these the robot has fallen over [rad]: where its agent gives it up (`Reason::OverTilt`).
 const UPRIGHT_ROLL: f64 = 1.0;
-const UPRIGHT_SWING: f64 = 1.5;
+const UPRIGHT_SWING: f64 = 1.4;
 /// Overshoot of the speed over the highest command that the controllers are allowed [1].
 const SPEED_MARGIN: f64 = 0.25;
 

@@ -41,7 +41,7 @@ impl Draw {
         self.network(&mut text, duration, robots);
         self.faults(&mut text, duration, robots);
         self.sensing(&mut text, environment);
-        self.planner(&mut text);
+        self.planner(&mut text, robots);
         for robot in 0..robots {
             self.robot(&mut text, robot, duration);
         }
@@ -159,7 +159,7 @@ impl Draw {
         );
     }
 
-    fn planner(&mut self, text: &mut String) {
+    fn planner(&mut self, text: &mut String, robots: usize) {
         let _ = writeln!(text, "[planner]");
         if self.chance(0.2) {
             let age = self.range(2.5, 5.0);
@@ -171,7 +171,8 @@ impl Draw {
         if self.chance(0.15) {
             let _ = writeln!(text, "compensation = \"no-gains\"");
         }
-        if self.chance(0.15) {
+        // It solves the same problems, and would take most of a soak's time if fleets planned with it.
+        if self.chance(0.15) && robots == 1 {
             let _ = writeln!(text, "solver = \"clarabel\"");
         }
     }

@@ -16,6 +16,8 @@ pub struct Soak {
     pub seeds: usize,
     /// Virtual hours times robots.
     pub robot_hours: f64,
+    /// The longest that holding took to come to rest, beyond the time of braking [s], and the seed of it.
+    pub rest_s: (f64, u64),
     /// Seeds that broke a rule.
     pub failed_seeds: Vec<u64>,
     /// What broke, at most the first of each rule and seed.
@@ -47,10 +49,12 @@ impl Soak {
             }
         });
         let failed = outcomes.iter().filter(|o| !o.violations.is_empty());
+        let rest = outcomes.iter().map(|o| (o.rest_s, o.seed));
         Self {
             first_seed: outcomes.first().map_or(0, |outcome| outcome.seed),
             seeds: outcomes.len(),
             robot_hours: outcomes.iter().map(|o| o.robot_seconds).sum::<f64>() / 3600.0,
+            rest_s: rest.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or_default(),
             failed_seeds: failed.clone().map(|outcome| outcome.seed).collect(),
             violations: failed.flat_map(|o| o.violations.iter().cloned()).collect(),
             coverage: coverage.collect(),
@@ -82,6 +86,11 @@ impl Soak {
             self.first_seed,
             self.robot_hours,
             self.failed_seeds.len()
+        );
+        let (rest, seed) = self.rest_s;
+        let _ = writeln!(
+            text,
+            "holding rests {rest:.2} s after braking's own time at most (seed {seed})"
         );
         for violation in &self.violations {
             let robot = violation.robot.as_deref().unwrap_or("the fleet");

@@ -3,7 +3,7 @@
 use arrayvec::ArrayVec;
 
 use super::{
-    ALPHA_RATE, Column, Covariance, Filter, PIVOT, PIVOT_LINGERS, Q_R_RATE, SHELL, STATES, V,
+    ALPHA, ALPHA_RATE, Column, Covariance, Filter, PIVOT, PIVOT_LINGERS, Q_R_RATE, SHELL, STATES, V,
 };
 
 /// Scalar measurements whose innovation is gated.
@@ -84,6 +84,37 @@ impl<'a> Correction<'a> {
         self.fuse(&p_h, innovation, s);
     }
 
+    /// Admits that the swing was accelerated by more than its noise allows, where an innovation of the gyro's left axis (`h`, `residual`)
+    /// shows so and stays within `reach`, what motor and weight can do in `dt` [s].
+    ///
+    /// The white acceleration of that one interval is raised to what is seen, α and α̇ together: the state follows at once. Without it
+    /// both lag behind full torque for as long as it lasts, and gyro and encoder are taken for sensors that contradict themselves.
+    #[inline(always)]
+    pub(super) fn admit_swing<const N: usize>(
+        &mut self,
+        h: &[(usize, f64); N],
+        residual: f64,
+        variance: f64,
+        dt: f64,
+        reach: f64,
+    ) {
+        let innovation = residual - dot(h, &self.dx);
+        let square = innovation * innovation;
+        // The cheap question first: it settles nearly every frame.
+        if square <= SWING_GATE * variance || innovation.abs() > reach {
+            return;
+        }
+        let p_h = self.times(h);
+        if square <= SWING_GATE * (dot(h, &p_h) + variance) {
+            return;
+        }
+        let p = &mut self.filter.p;
+        p[(ALPHA, ALPHA)] += square * dt * dt / 3.0;
+        p[(ALPHA, ALPHA_RATE)] += square * dt / 2.0;
+        p[(ALPHA_RATE, ALPHA)] += square * dt / 2.0;
+        p[(ALPHA_RATE, ALPHA_RATE)] += square;
+    }
+
     pub(super) fn finish(mut self) -> Gates {
         self.change_covariance();
         for (x, dx) in self.filter.x.data.0[0].iter_mut().zip(&self.dx) {
@@ -153,8 +184,8 @@ impl<'a> Correction<'a> {
 impl Channel {
     /// Gate on the squared innovation over its variance.
     ///
-    /// Six standard deviations are beyond any white noise. The swing's acceleration is no white noise: full torque, 40 rad/s²,
-    /// must pass at once, and shows in the gyro's left axis and in the encoder.
+    /// Six standard deviations are beyond any white noise. The swing's acceleration is no white noise, and shows in the gyro's left axis
+    /// and in the encoder: what [`Correction::admit_swing`] does not admit, because frames are missing, has more room here.
     fn gate(self) -> f64 {
         match self {
             Self::GyroForward | Self::GyroUp => 36.0,
@@ -187,6 +218,8 @@ pub(super) fn dot<const N: usize>(h: &[(usize, f64); N], x: &Column) -> f64 {
 
 /// The most measurements that one frame gives: gyro, encoder, floor, and three rates at rest.
 const FUSED_MAX: usize = 8;
+/// Squared innovation over its variance beyond which the swing was accelerated: of white noise one frame in 16 000 is.
+const SWING_GATE: f64 = 16.0;
 /// Frames that a gate refuses in a row before the channel is believed.
 const STREAK_MAX: u8 = 3;
 /// Frames in a row in which the encoder contradicts the speed before the speed is doubted: half a second. By then a dead encoder
