@@ -122,6 +122,8 @@ fn what_was_found_stays_mended() {
         // Old plans in a burst, a speed command that jumps, full torque: the frame swung faster than the estimator thought possible, the
         // gyro passed for broken, and an upright robot gave up.
         ("seed-1", include_str!("soak/seed-1.toml")),
+        // A station frozen while its arm command was on the way took the freeze for the link's delay, and never planned for the robot again.
+        ("seed-52", include_str!("soak/seed-52.toml")),
     ] {
         let found = soak::broken(&read(text), false);
         assert_eq!(found, [], "{name}");

@@ -217,7 +217,12 @@ impl Session {
             }));
         }
         let epoch_before = self.lease.epoch();
-        if let Some(sent) = self.lease.on_telemetry(now, &telemetry, out) {
+        let since_last = self
+            .telemetry()
+            .map(|before| telemetry.stamp.since(before.stamp));
+        if let Some(sent) = self.lease.on_telemetry(now, &telemetry, out)
+            && since_last.is_some_and(|since| since <= ECHO_WITHIN)
+        {
             self.link.on_command_echo(sent, telemetry.stamp);
         }
         let last_plan = self.life.take().and_then(|life| life.last_plan);
@@ -307,8 +312,8 @@ impl Session {
         if !self.task.is_under_way() && !is_localised {
             return None;
         }
-        let start = self.plan_start(now, life)?;
-        if start.since(telemetry.stamp) > self.lead_max() {
+        let (lead_max, earliest) = (self.lead_max(), self.link.agent_time(now)?);
+        if earliest.since(telemetry.stamp) > lead_max {
             if self.task.is_under_way() {
                 self.counters.stale += 1;
                 if !core::mem::replace(&mut self.is_stale, true) {
@@ -317,6 +322,9 @@ impl Session {
             }
             return None;
         }
+        // A link that was slower than any plan is long must not silence the station for ever: only plans that arrive tell that it is
+        // faster again.
+        let start = self.plan_start(now, life)?.min(telemetry.stamp + lead_max);
         self.is_stale = false;
         let here = Pose {
             x: telemetry.state.x,
@@ -506,6 +514,9 @@ fn is_plausible(telemetry: &Telemetry) -> bool {
         && within(telemetry.q_rd, ROLL_END)
 }
 
+/// Time between two telemetries from which a command's acknowledgement still tells when it arrived: longer after a pause of the
+/// station, a cut, or losses, and the command may have waited for any part of it.
+const ECHO_WITHIN: Span = Span::from_millis(300);
 /// Largest standard deviation of the position with which a mission begins [m].
 const POSITION_SIGMA_MAX: f64 = 0.2;
 /// Telemetry whose stamp advances by this much more than the station's clock is from a broken clock.
