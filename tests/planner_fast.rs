@@ -302,7 +302,7 @@ fn batch_of_planners_plans_as_each_alone() {
         .collect();
     let settings = |i: usize| PlannerSettings {
         horizon: [20, 20, 10][i % 3],
-        ..PlannerSettings::of(if i % 5 == 0 {
+        ..PlannerSettings::of(if i.is_multiple_of(5) {
             Preset::Paper
         } else {
             Preset::Ours
@@ -349,7 +349,7 @@ fn batch_of_planners_plans_as_each_alone() {
             next += 1;
             assert_eq!(
                 knots,
-                alone[i].plan(&beginnings[i], &references[i]),
+                alone[i].plan(&beginnings[i], references[i]),
                 "robot {i}"
             );
         });

@@ -110,6 +110,10 @@ fn transposed<const NX: usize>(a: &Rows<NX>) -> Rows<NX> {
 }
 
 /// M⁻¹ from the left to `left` and `right`, by Gauss elimination with row pivots; M is used up. `None` if singular or not finite.
+#[expect(
+    clippy::needless_range_loop,
+    reason = "indices stand as in the formulas"
+)]
 fn divide<const NX: usize>(
     m: &mut Rows<NX>,
     left: &mut Rows<NX>,

@@ -275,7 +275,7 @@ impl<const NX: usize> Mpc<NX> {
             // A NaN for a limit ends here too.
             && problem
                 .turn_limit
-                .is_none_or(|limit| limit >= 0.0 && limit < f64::INFINITY && !is_measured)
+                .is_none_or(|limit| (0.0..f64::INFINITY).contains(&limit) && !is_measured)
             // The input without effect is no part of the sweep.
             && (!is_measured
                 || are_bounds(&problem.u_min[horizon - 1], &problem.u_max[horizon - 1]))

@@ -3,11 +3,11 @@
 use std::cell::RefCell;
 use std::num::NonZero;
 use std::thread;
-use std::time::Instant;
 
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
-use sphere_protocol::time::Span;
+use sphere_protocol::io::clock::Clock;
+use sphere_protocol::time::{GroundClock, Span};
 
 use crate::planner::PlanBatch;
 use crate::session::Job;
@@ -16,6 +16,7 @@ use crate::workload::Workers;
 /// Plans a batch on several threads, and says how long it took.
 pub struct Pool {
     threads: ThreadPool,
+    clock: Clock<GroundClock>,
 }
 
 impl Pool {
@@ -29,13 +30,16 @@ impl Pool {
             .num_threads(threads)
             .thread_name(|i| format!("planning-{i}"))
             .build()?;
-        Ok(Self { threads })
+        Ok(Self {
+            threads,
+            clock: Clock::start(),
+        })
     }
 }
 
 impl Workers for Pool {
     fn run(&mut self, jobs: &mut [Job<'_>]) -> Span {
-        let begin = Instant::now();
+        let begin = self.clock.now();
         let share = jobs.len().div_ceil(self.threads.current_num_threads());
         // Waking a thread costs more than a few plans.
         let share = share.next_multiple_of(TOGETHER);
@@ -45,7 +49,7 @@ impl Workers for Pool {
             self.threads
                 .install(|| jobs.par_chunks_mut(share).for_each(plan));
         }
-        Span::from_secs_f64(begin.elapsed().as_secs_f64())
+        self.clock.now() - begin
     }
 }
 

@@ -270,7 +270,7 @@ impl Draw {
                 for _ in 0..3 + self.below(3) {
                     points.push(format!("[{x:.3}, {y:.3}]"));
                     // Far enough for the turn behind a sharp corner.
-                    let (way, bearing) = (self.range(5.0, 9.0), self.range(0.0, 6.28));
+                    let (way, bearing) = (self.range(5.0, 9.0), self.range(0.0, TURN));
                     (x, y) = (x + way * f64::cos(bearing), y + way * f64::sin(bearing));
                 }
                 let speed = self.range(0.2, 0.7);
@@ -291,7 +291,7 @@ impl Draw {
             }
             7 => {
                 let (speed, angle) = (self.range(0.0, 1.0), self.range(1.0, 10.0));
-                let (rate, phase) = (self.range(0.1, 0.6), self.range(0.0, 6.28));
+                let (rate, phase) = (self.range(0.1, 0.6), self.range(0.0, TURN));
                 format!(
                     "kind = \"roll-sine\", speed_mps = {speed}, amplitude_deg = {angle}, rate_radps = {rate}, phase_rad = {phase}"
                 )
@@ -334,6 +334,9 @@ fn place(key: &str) -> usize {
     place.expect("it is drawn")
 }
 
+/// A turn, as short as what is drawn [rad].
+#[expect(clippy::approx_constant, reason = "drawn values have three decimals")]
+const TURN: f64 = 6.28;
 /// The random stream of scenarios: robots' own count from zero, 16 each.
 const STREAM: u64 = u64::MAX;
 /// What the robot may differ in from what agent and station believe.

@@ -54,6 +54,7 @@ impl InstructionSet {
 }
 
 /// Scratch space for as many robots as an instruction set takes at a time.
+#[expect(clippy::large_enum_variant, reason = "one for each planning thread")]
 pub(super) enum Wide<const NX: usize> {
     Baseline(Sweep<f64, NX>),
     #[cfg(target_arch = "x86_64")]

@@ -8,6 +8,11 @@
 //! Differs from `sqp` on `riccati`: the active set follows from each iterate instead of being iterated on each subproblem, λ is the iterate's
 //! adjoint instead of the subproblem's multiplier, nothing is searched. Where both converge they end at the same point.
 
+#![expect(
+    clippy::needless_range_loop,
+    reason = "indices stand as in the formulas, often for several matrices at once"
+)]
+
 use super::knot::{Expansion, Model};
 use super::lanes::Lanes;
 use super::trig::{atan, rounded};
