@@ -102,7 +102,7 @@ impl fmt::Display for Load {
 impl Governor {
     /// The effort for each robot of a batch that begins `late` after it was due.
     ///
-    /// A batch may take what is left of [`LATENESS_MAX`]: at a constant overload the station settles at half of it and plans for as many
+    /// A batch may take what is left of [`LATENESS_MAX`], and [`BATCH_LEAST`] in any case: at a constant overload the station settles at half of it and plans for as many
     /// as it can. The robots with the least slack are served first, ties by their order.
     pub fn share_out(&mut self, late: Span, needs: &[Need]) -> Vec<Effort> {
         self.load = Load {
@@ -113,7 +113,7 @@ impl Governor {
             shed: 0,
         };
         let count = needs.len() as f64;
-        let left = (LATENESS_MAX - late).as_secs_f64().max(0.0);
+        let left = (LATENESS_MAX - late).max(BATCH_LEAST).as_secs_f64();
         let mut efforts = vec![Effort::Converge; needs.len()];
         if self.cost * count <= left {
             return efforts;
@@ -177,6 +177,8 @@ impl Governor {
 /// How late a plan may leave because others were made before it. A tenth of the shortest horizon's worth of feedback, and less than the
 /// network's jitter.
 pub const LATENESS_MAX: Span = Span::from_millis(20);
+/// A thread that was woken late is not over its time: what takes no longer than this is never cut short.
+const BATCH_LEAST: Span = Span::from_millis(1);
 /// Cost of a plan by one iteration, as a share of a converged one's: references, prediction and one iteration of three.
 const REAL_TIME: f64 = 0.5;
 /// Cost of sending the last plan again.
@@ -234,6 +236,17 @@ mod tests {
         let efforts = governor.share_out(Span::from_millis(10), &needs);
         assert_eq!(count(&efforts, Effort::RealTime), 17);
         assert_eq!(governor.load().shed, 13);
+    }
+
+    /// Late by the system's doing, with a hundred robots of 5 µs.
+    #[test]
+    fn a_batch_that_takes_no_time_is_not_cut_short_however_late_it_is() {
+        let mut governor = Governor::default();
+        let needs = robots([1.0; 100]);
+        governor.share_out(Span::ZERO, &needs);
+        governor.learn(Span::from_secs_f64(500e-6));
+        let efforts = governor.share_out(Span::from_millis(300), &needs);
+        assert_eq!(count(&efforts, Effort::Converge), 100);
     }
 
     #[test]
