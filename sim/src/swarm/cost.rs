@@ -4,8 +4,8 @@ use core::fmt::Write as _;
 
 use super::SwarmReport;
 
-/// Processor time of one planning tick of one robot in the solver [µs], from docs/benchmarks.md: the one number here that is not taken
-/// from the runs.
+/// Processor time of one planning tick of one robot in the solver [µs]: an assumed ceiling, the one number here that is not
+/// taken from the runs.
 pub const PLANNING_US: f64 = 20.0;
 /// Planning ticks of a robot [1/s].
 const PLANNING_HZ: f64 = 10.0;

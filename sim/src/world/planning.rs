@@ -42,7 +42,7 @@ impl Workers for OneCore {
 fn share(effort: Effort) -> f64 {
     match effort {
         Effort::Converge => 1.0,
-        // What is measured of the planner: prediction and references cost as much as two iterations.
+        // Assumed: one iteration of three, with prediction and references for all.
         Effort::RealTime => 0.5,
         Effort::Shift => 0.05,
     }
